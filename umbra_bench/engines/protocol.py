@@ -1,0 +1,106 @@
+"""What an engine offers, and how the harness drives it."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from umbra_bench.compiled import Observables, Recording
+from umbra_bench.errors import UmbraBenchError
+from umbra_bench.precision import float64_allowed
+from umbra_bench.reference import observe_all
+from umbra_bench.scenario import Scenario
+from umbra_bench.system import System, build_system, initial_state
+from umbra_bench.umbra.pipeline import apply_damping
+
+CHUNK = 1024
+"""How many states are kept before they are measured: memory does not grow with the steps."""
+
+
+class Engine(Protocol):
+    """A foreign engine with the bodies of one scenario in it. Arrays have shape (3, N), SI units."""
+
+    def step(self, dt: float, position: np.ndarray, velocity: np.ndarray) -> None:
+        """Advance by one step from the state given, with forces applied in this engine's mode."""
+        ...
+
+    def read(self, position: np.ndarray, velocity: np.ndarray) -> None:
+        """Write the state into the two arrays."""
+        ...
+
+    def set_velocity(self, velocity: np.ndarray) -> None:
+        """Replace the velocity of every body that forces move."""
+        ...
+
+
+def open_engine(method: str, scenario: Scenario) -> Engine:
+    """The engine of a method with a scenario's bodies in it.
+
+    Raises:
+        UnsupportedScenario: the engine cannot run this scenario; the message says why.
+        UmbraBenchError: the engine is not installed; the message says how to install it.
+    """
+    if method.startswith("pymunk"):
+        from umbra_bench.engines.pymunk import MODES
+
+        return MODES[method](scenario)
+    raise UmbraBenchError(f"--method {method!r}: there is no engine of that name")
+
+
+class EngineRun:
+    """An engine at work on one scenario: the counterpart of a compiled run, with the same recording.
+
+    Exponential damping is the harness's own, after each step, for every engine alike: what is
+    measured is the engine's integrator.
+    """
+
+    def __init__(
+        self, method: str, scenario: Scenario, dt: float, energy_limit: float = float("inf")
+    ) -> None:
+        self._engine = open_engine(method, scenario)
+        self._system: System = build_system(scenario)
+        self._dt = dt
+        self._limit = min(energy_limit, float(np.finfo(float).max))
+        self._intact = True
+        self.intact_steps = 0
+        start = initial_state(scenario)
+        self._position, self._velocity = start.position, start.velocity
+
+    def advance(self, stride: int, samples: int) -> Recording:
+        """Take `stride` x `samples` steps and return the samples."""
+        shape = (samples, *self._position.shape)
+        position, velocity = np.empty(shape), np.empty(shape)
+        low = Observables(*(np.full(samples, np.inf) for _ in Observables._fields))
+        high = Observables(*(np.full(samples, -np.inf) for _ in Observables._fields))
+        with np.errstate(all="ignore"), float64_allowed():
+            for s in range(samples):
+                for begin in range(0, stride, CHUNK):
+                    seen = self._take_steps(min(CHUNK, stride - begin))
+                    for least, most, values in zip(low, high, seen, strict=True):
+                        least[s] = np.minimum(least[s], values.min())
+                        most[s] = np.maximum(most[s], values.max())
+                position[s], velocity[s] = self._position, self._velocity
+            at = observe_all(self._system, position, velocity)
+        return Recording(position, velocity, at, low, high)
+
+    def _take_steps(self, steps: int) -> Observables:
+        """Take steps and return what the states before each of them measure."""
+        shape = (CHUNK, *self._position.shape)
+        position, velocity = np.zeros(shape), np.zeros(shape)
+        for n in range(steps):
+            position[n], velocity[n] = self._position, self._velocity
+            self._engine.step(self._dt, self._position, self._velocity)
+            self._engine.read(self._position, self._velocity)
+            if self._system.bodies.damping is not None:
+                self._velocity = apply_damping(
+                    self._velocity, self._system.bodies.damping, self._dt
+                )
+                self._engine.set_velocity(self._velocity)
+        seen = observe_all(self._system, position, velocity)
+        seen = Observables(*(values[:steps] for values in seen))
+        within = np.abs(seen.energy) <= self._limit
+        if self._intact:
+            self.intact_steps += int(steps if within.all() else np.argmin(within))
+            self._intact = bool(within.all())
+        return seen

@@ -1,0 +1,32 @@
+"""Errors that end a command with one clear line and exit code 2."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class UmbraBenchError(Exception):
+    """Something that the user can mend: bad input, a missing file, an engine that cannot do it."""
+
+
+class ScenarioError(UmbraBenchError):
+    """A scenario file that is wrong; the message names the file, the key, the value and what is allowed."""
+
+
+class UnsupportedScenario(UmbraBenchError):
+    """A method that cannot run a scenario, with the reason; a study records it as a skip."""
+
+
+def hint(word: object, known: Iterable[str], label: str = "allowed") -> str:
+    """Return the end of a message: the known word nearest to `word`, if any, and all of them."""
+    words = list(known)
+    close = difflib.get_close_matches(str(word), words, n=1, cutoff=0.6)
+    suggestion = f"; did you mean {close[0]!r}? {label.capitalize()}" if close else f"; {label}"
+    return f"{suggestion}: {', '.join(words)}"
+
+
+def short(value: object, length: int = 60) -> str:
+    """Return `value` as one printable line of at most `length` characters."""
+    text = repr(value)
+    return text if len(text) <= length else text[: length - 3] + "..."

@@ -1,0 +1,40 @@
+"""The mechanical state, and the quantities that a mechanics book defines on it.
+
+Generalised coordinates, component first and body last: every array has shape (3, N), rows x, y,
+angle, in SI units. Bodies of infinite mass (static, kinematic) carry no energy and no momentum here.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from umbra_bench.umbra.bodies import Array, Bodies
+
+
+class State(NamedTuple):
+    """Positions (m, m, rad) and velocities (m/s, m/s, rad/s), shape (3, N) each."""
+
+    position: Array
+    velocity: Array
+
+
+def inertial_mass(bodies: Bodies) -> Array:
+    """m, m, I of the bodies that forces move, 0 for the others; shape (3, N)."""
+    xp = bodies.mass.__array_namespace__()
+    return xp.where(bodies.inverse_mass > 0.0, bodies.mass, 0.0)
+
+
+def kinetic_energy(bodies: Bodies, velocity: Array) -> Array:
+    """T = sum of m v^2/2 + I omega^2/2, J."""
+    return (0.5 * inertial_mass(bodies) * velocity * velocity).sum()
+
+
+def linear_momentum(bodies: Bodies, velocity: Array) -> Array:
+    """P = sum of m v, N s, shape (2,)."""
+    return (inertial_mass(bodies) * velocity)[:2].sum(1)
+
+
+def angular_momentum(bodies: Bodies, position: Array, velocity: Array) -> Array:
+    """L = sum of m (x vy - y vx) + I omega about the origin, N m s."""
+    p = inertial_mass(bodies) * velocity
+    return (position[0] * p[1] - position[1] * p[0] + p[2]).sum()

@@ -1,0 +1,390 @@
+"""The sweep: scenario x method x precision x dt, to tables.
+
+Every run is compared with the certified reference at the instants that the steps of a sweep share,
+so that no interpolation enters; energy and momentum are also judged over every step in between
+wherever the reference conserves them.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from umbra_bench.errors import UmbraBenchError, UnsupportedScenario
+from umbra_bench.methods import METHODS, PRECISIONS, find_method
+from umbra_bench.metrics import (
+    FLOOR_FACTOR,
+    ErrorPoint,
+    drift_rate,
+    observed_order,
+    position_distance,
+    velocity_distance,
+)
+from umbra_bench.reference import Reference, certified_reference
+from umbra_bench.scenario import Scenario
+from umbra_bench.simulate import Trajectory, simulate
+
+DIVERGENCE = 1e12
+"""An energy beyond this multiple of the scenario's energy scale counts as a divergence."""
+
+ENGINE_STEPS = 4000
+"""The most steps of one engine run: engines step in Python, and games step at 0.01 s."""
+
+QUICK_HALVINGS = 3
+"""The halvings of a quick study."""
+
+MOTION_BODIES = 4
+"""Of how many bodies the motion is kept for pictures."""
+
+QUANTITIES = {
+    "position": "position_error_max",
+    "velocity": "velocity_error_max",
+    "energy": "energy_error_max",
+}
+"""The quantities whose order is observed, and the column that holds their error."""
+
+STUDY_SCHEMA: dict[str, Any] = {
+    "scenario": pl.String,
+    "method": pl.String,
+    "precision": pl.String,
+    "dt": pl.Float64,
+    "steps": pl.Int64,
+    "position_error_max": pl.Float64,
+    "velocity_error_max": pl.Float64,
+    "position_error_final": pl.Float64,
+    "energy_error_max": pl.Float64,
+    "energy_drift_rate": pl.Float64,
+    "angular_momentum_error_max": pl.Float64,
+    "reference_error": pl.Float64,
+    "diverged_at": pl.Float64,
+    "wall_time": pl.Float64,
+}
+
+ORDERS_SCHEMA: dict[str, Any] = {
+    "scenario": pl.String,
+    "method": pl.String,
+    "precision": pl.String,
+    "quantity": pl.String,
+    "order": pl.Float64,
+    "standard_error": pl.Float64,
+    "points": pl.Int64,
+}
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a sweep found: tables, and the scenarios and references that they belong to.
+
+    Attributes:
+        runs: one row per scenario, method, precision and dt (`STUDY_SCHEMA`).
+        orders: one row per scenario, method, precision and quantity (`ORDERS_SCHEMA`).
+        references: one row per scenario: the certificate and the scales.
+        skips: what was not run, with the reason.
+        motion: positions and velocities at the default step, for pictures.
+        energy: the energy error over time at the default step, for pictures.
+    """
+
+    scenarios: list[Scenario]
+    runs: pl.DataFrame
+    orders: pl.DataFrame
+    references: pl.DataFrame
+    skips: pl.DataFrame
+    motion: pl.DataFrame
+    energy: pl.DataFrame
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One line of a sweep: a method of one precision over all steps of a scenario."""
+
+    scenario: Scenario
+    reference: Reference
+    method: str
+    precision: str
+
+
+@dataclass
+class _Outcome:
+    runs: list[dict[str, Any]]
+    orders: list[dict[str, Any]]
+    skips: list[dict[str, Any]]
+    motion: list[pl.DataFrame]
+    energy: list[pl.DataFrame]
+
+
+Listener = Callable[[str, int, int], None]
+"""Called with what was done, how many are done and how many there are."""
+
+
+def run_study(
+    scenarios: Sequence[Scenario],
+    methods: Sequence[str] = (),
+    precisions: Sequence[str] = PRECISIONS,
+    *,
+    quick: bool = False,
+    listener: Listener = lambda what, done, total: None,
+) -> Study:
+    """Sweep methods over scenarios.
+
+    Args:
+        scenarios: from :func:`umbra_bench.load_scenario`.
+        methods: names; none means all but the reference.
+        precisions: of this project's integrators; an engine has its own.
+        quick: only the first few steps of each sweep.
+        listener: told of every finished part.
+
+    Raises:
+        UmbraBenchError: an unknown method, or a scenario whose reference cannot be had.
+    """
+    names = list(methods) or [name for name, m in METHODS.items() if m.kind != "reference"]
+    for name in names:
+        if find_method(name).kind == "reference":
+            raise UmbraBenchError(
+                "--method 'reference': it is what the others are measured against; allowed: all others"
+            )
+    if quick:
+        scenarios = [
+            s.with_sweep(s.dt.start, min(s.dt.halvings, QUICK_HALVINGS)) for s in scenarios
+        ]
+    lines = [
+        (name, precision)
+        for name in names
+        for precision in (precisions if METHODS[name].precision is None else ["its own"])
+    ]
+    total, done = len(scenarios) * (1 + len(lines)), 0
+
+    def tell(what: str) -> None:
+        nonlocal done
+        done += 1
+        listener(what, done, total)
+
+    # Compilation and compiled runs leave the interpreter free, so threads use all cores.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        references = []
+        for scenario, reference in zip(
+            scenarios, pool.map(certified_reference, scenarios), strict=True
+        ):
+            references.append(reference)
+            tell(f"reference of {scenario.name}")
+        jobs = [
+            _Job(scenario, reference, *line)
+            for scenario, reference in zip(scenarios, references, strict=True)
+            for line in lines
+        ]
+        outcomes = []
+        for job, outcome in zip(jobs, pool.map(_sweep, jobs), strict=True):
+            outcomes.append(outcome)
+            tell(f"{job.scenario.name}, {job.method}, {job.precision}")
+
+    motion = [_reference_motion(s, r) for s, r in zip(scenarios, references, strict=True)]
+    return Study(
+        scenarios=list(scenarios),
+        runs=pl.DataFrame([row for o in outcomes for row in o.runs], STUDY_SCHEMA),
+        orders=pl.DataFrame([row for o in outcomes for row in o.orders], ORDERS_SCHEMA),
+        references=pl.DataFrame(
+            [_reference_row(s, r) for s, r in zip(scenarios, references, strict=True)]
+        ),
+        skips=pl.DataFrame(
+            [row for o in outcomes for row in o.skips],
+            {"scenario": pl.String, "method": pl.String, "reason": pl.String},
+        ),
+        motion=pl.concat(motion + [table for o in outcomes for table in o.motion]),
+        energy=_concatenate(table for o in outcomes for table in o.energy),
+    )
+
+
+def _sweep(job: _Job) -> _Outcome:
+    """All steps of one line of the sweep, and its orders."""
+    scenario, reference = job.scenario, job.reference
+    outcome = _Outcome([], [], [], [], [])
+    is_engine = METHODS[job.method].kind == "engine"
+    for dt in scenario.steps:
+        if is_engine and round(scenario.duration / dt) > ENGINE_STEPS:
+            continue
+        try:
+            trajectory = run_on_grid(scenario, reference, job.method, dt, job.precision)
+        except UnsupportedScenario as reason:
+            row = {"scenario": scenario.name, "method": job.method, "reason": str(reason)}
+            outcome.skips.append(row)
+            return outcome
+        outcome.runs.append(measure(trajectory, reference))
+        if dt == scenario.default_step:
+            outcome.motion.append(_motion(trajectory, scenario))
+            outcome.energy.append(_energy(trajectory, reference))
+    outcome.orders += orders_of(outcome.runs, reference)
+    return outcome
+
+
+def run_on_grid(
+    scenario: Scenario, reference: Reference, method: str, dt: float, precision: str
+) -> Trajectory:
+    """Run a method and sample it where the reference was, or at every step if that is coarser."""
+    steps = round(scenario.duration / dt)
+    return simulate(
+        scenario,
+        method,
+        dt,
+        steps=steps,
+        every=max(1, steps // scenario.samples),
+        precision=precision,
+        energy_limit=DIVERGENCE * reference.scales.energy
+        + float(abs(reference.observables.energy).max()),
+    )
+
+
+def measure(trajectory: Trajectory, reference: Reference) -> dict[str, Any]:
+    """One row of the study: what a trajectory's errors are against the reference."""
+    shared = slice(None, None, (len(reference.times) - 1) // (len(trajectory.times) - 1))
+    with np.errstate(all="ignore"):  # overflow is a result: it stands in the row
+        position = position_distance(
+            trajectory.position, reference.position[shared], reference.radius
+        )
+        velocity = velocity_distance(
+            trajectory.velocity, reference.velocity[shared], reference.radius
+        )
+        energy = energy_error(trajectory, reference)
+        return {
+            "scenario": trajectory.scenario,
+            "method": trajectory.method,
+            "precision": trajectory.precision,
+            "dt": trajectory.dt,
+            "steps": trajectory.steps,
+            "position_error_max": float(position.max()),
+            "velocity_error_max": float(velocity.max()),
+            "position_error_final": float(position[-1]),
+            "energy_error_max": _largest_error(trajectory, reference, "energy"),
+            "energy_drift_rate": drift_rate(trajectory.times, energy),
+            "angular_momentum_error_max": _largest_error(
+                trajectory, reference, "angular_momentum"
+            ),
+            "reference_error": reference.certificate.position,
+            "diverged_at": trajectory.diverged_at,
+            "wall_time": trajectory.wall_time,
+        }
+
+
+def energy_error(trajectory: Trajectory, reference: Reference) -> np.ndarray:
+    """Energy of the method minus energy of the reference, over the energy scale, at the samples."""
+    return _error(trajectory, reference, "energy")
+
+
+def _error(trajectory: Trajectory, reference: Reference, name: str) -> np.ndarray:
+    truth = getattr(reference.observables, name)
+    shared = truth[:: (len(truth) - 1) // (len(trajectory.times) - 1)]
+    values = getattr(trajectory.at, name).astype(float)
+    return (values - shared) / getattr(reference.scales, name)
+
+
+def _largest_error(trajectory: Trajectory, reference: Reference, name: str) -> float:
+    """The largest relative error of an observable: over every step where physics conserves it."""
+    errors = np.abs(_error(trajectory, reference, name))
+    if reference.conserves(name):
+        truth, scale = getattr(reference.observables, name)[0], getattr(reference.scales, name)
+        for extremes in (trajectory.low, trajectory.high):
+            streamed = np.abs(getattr(extremes, name).astype(float) - truth) / scale
+            errors = np.concatenate([errors, streamed])
+    return math.inf if np.isnan(errors).any() else float(errors.max())
+
+
+def orders_of(runs: Sequence[dict[str, Any]], reference: Reference) -> list[dict[str, Any]]:
+    """The observed order of each quantity over one line of a sweep."""
+    floors = {
+        quantity: FLOOR_FACTOR * getattr(reference.certificate, quantity) for quantity in QUANTITIES
+    }
+    rows = []
+    for quantity, column in QUANTITIES.items():
+        points = [
+            ErrorPoint(
+                run["dt"],
+                run[column],
+                run["diverged_at"] is None and run[column] >= floors[quantity],
+            )
+            for run in runs
+        ]
+        order = observed_order(points)
+        line = {key: runs[0][key] for key in ("scenario", "method", "precision")}
+        rows.append({**line, "quantity": quantity, **order._asdict()})
+    return rows
+
+
+def _motion(trajectory: Trajectory, scenario: Scenario) -> pl.DataFrame:
+    return _motion_table(
+        (trajectory.scenario, trajectory.method, trajectory.precision, trajectory.dt),
+        trajectory.times,
+        trajectory.position,
+        trajectory.velocity,
+        scenario,
+    )
+
+
+def _reference_motion(scenario: Scenario, reference: Reference) -> pl.DataFrame:
+    line = (scenario.name, "reference", "float64", scenario.default_step)
+    return _motion_table(line, reference.times, reference.position, reference.velocity, scenario)
+
+
+def _motion_table(
+    line: tuple[str, str, str, float],
+    times: np.ndarray,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    scenario: Scenario,
+) -> pl.DataFrame:
+    """A row per sample and body, of the first few bodies."""
+    names = [body.name for body in scenario.bodies][:MOTION_BODIES]
+    count = len(names)
+    columns = {
+        name: values[:, row, :count].astype(float).ravel()
+        for values, names_ in ((position, ("x", "y", "angle")), (velocity, ("vx", "vy", "omega")))
+        for row, name in enumerate(names_)
+    }
+    table = pl.DataFrame({"t": np.repeat(times, count), "body": names * len(times), **columns})
+    return _labelled(table, line)
+
+
+def _energy(trajectory: Trajectory, reference: Reference) -> pl.DataFrame:
+    """The energy error over time: at the samples, and its extremes over the steps before each."""
+    error = energy_error(trajectory, reference)
+    low, high = error.copy(), error.copy()
+    if reference.conserves("energy"):
+        truth, scale = reference.observables.energy[0], reference.scales.energy
+        with np.errstate(all="ignore"):
+            low[1:] = np.fmin(low[1:], (trajectory.low.energy.astype(float) - truth) / scale)
+            high[1:] = np.fmax(high[1:], (trajectory.high.energy.astype(float) - truth) / scale)
+    table = pl.DataFrame(
+        {"t": trajectory.times, "energy_error": error, "lowest": low, "highest": high}
+    )
+    line = (trajectory.scenario, trajectory.method, trajectory.precision, trajectory.dt)
+    return _labelled(table, line)
+
+
+def _labelled(table: pl.DataFrame, line: tuple[str, str, str, float]) -> pl.DataFrame:
+    labels = zip(("scenario", "method", "precision", "dt"), line, strict=True)
+    return table.select(*(pl.lit(value).alias(name) for name, value in labels), pl.all())
+
+
+def _reference_row(scenario: Scenario, reference: Reference) -> dict[str, Any]:
+    certificate = reference.certificate
+    return {
+        "scenario": scenario.name,
+        "position_bound": certificate.position,
+        "velocity_bound": certificate.velocity,
+        "energy_bound": certificate.energy,
+        "independent": certificate.independent,
+        "independent_difference": certificate.independent_difference,
+        "tolerance_difference": certificate.tolerance_difference,
+        "energy_drift": certificate.energy_drift,
+        "angular_momentum_drift": certificate.angular_momentum_drift,
+        **{f"{name}_scale": value for name, value in reference.scales._asdict().items()},
+    }
+
+
+def _concatenate(tables: Iterable[pl.DataFrame]) -> pl.DataFrame:
+    found = list(tables)
+    return pl.concat(found) if found else pl.DataFrame()
