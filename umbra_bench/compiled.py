@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from umbra_bench.integrators import INTEGRATORS, Integrator
-from umbra_bench.precision import float64_allowed
+from umbra_bench.jax_settings import float64_allowed
 from umbra_bench.state import State, angular_momentum, linear_momentum
 from umbra_bench.system import System
 from umbra_bench.umbra.bodies import Array, UmbraState
@@ -94,11 +94,20 @@ def observe(system: System, position: Array, velocity: Array) -> Observables:
 
 
 class Progress(NamedTuple):
-    """Where a run stands: the method's state, and for how many steps its energy was within bounds."""
+    """Where a run stands.
+
+    Attributes:
+        state: the method's own.
+        steps: how many were taken.
+        broken: the first step whose energy was not within its limit; `NEVER` if there was none.
+    """
 
     state: Any
-    intact: Array
-    intact_steps: Array
+    steps: Array
+    broken: Array
+
+
+NEVER = np.int64(2**62)
 
 
 class Recording(NamedTuple):
@@ -106,21 +115,14 @@ class Recording(NamedTuple):
 
     Attributes:
         position, velocity: shape (S, 3, N).
-        at: the observables at the samples, shape (S,) each.
-        low, high: their extremes over the steps from the sample before, inclusive, to this sample,
-            exclusive, shape (S,) each.
+        low, high: extremes of the observables over the steps from the sample before, inclusive, to
+            this sample, exclusive; shape (S,) each.
     """
 
     position: Array
     velocity: Array
-    at: Observables
     low: Observables
     high: Observables
-
-
-@functools.partial(jax.jit, static_argnames="method")
-def _start(method: CompiledMethod, system: System, state: State) -> Progress:
-    return Progress(method.start(system, state), jnp.array(True), jnp.array(0))
 
 
 @functools.partial(jax.jit, static_argnames=("method", "capacity"))
@@ -133,39 +135,38 @@ def _advance(
     energy_limit: Array,
     stride: Array,
     samples: Array,
-) -> tuple[Progress, Recording]:
-    def one_step(_: Array, carry: Any) -> Any:
-        (state, intact, intact_steps), low, high = carry
+) -> tuple[Progress, Array, Array, Array]:
+    def one_step(n: Array, carry: Any) -> Any:
+        state, broken, extremes = carry
         # The state that is about to step is measured, so that the distances which energy and forces
-        # share are computed once.
+        # share are computed once; highest values and highest negative values are one comparison.
         seen = observe(system, state.position, state.velocity)
-        low = jax.tree.map(jnp.minimum, low, seen)
-        high = jax.tree.map(jnp.maximum, high, seen)
-        intact = intact & (abs(seen.energy) <= energy_limit)  # false for NaN as well
-        state = method.step(system, state, dt)
-        return Progress(state, intact, intact_steps + intact), low, high
+        extremes = jnp.maximum(extremes, jnp.stack([*seen, *map(jnp.negative, seen)]))
+        within = abs(seen.energy) <= energy_limit  # false for NaN as well
+        broken = jnp.minimum(broken, jnp.where(within, NEVER, n))
+        return method.step(system, state, dt), broken, extremes
 
-    def to_next_sample(progress: Progress) -> Any:
-        infinity = jnp.array(jnp.inf, progress.state.position.dtype)
-        low = Observables(infinity, infinity, infinity, infinity)
-        high = jax.tree.map(jnp.negative, low)
-        return jax.lax.fori_loop(0, stride, one_step, (progress, low, high))
+    def to_next_sample(progress: Progress) -> tuple[Progress, Array]:
+        state, steps, broken = progress
+        none = jnp.full(2 * len(Observables._fields), -jnp.inf, state.position.dtype)
+        state, broken, extremes = jax.lax.fori_loop(
+            steps, steps + stride, one_step, (state, broken, none)
+        )
+        return Progress(state, steps + stride, broken), extremes
 
-    if progress.state.position.shape[1] <= SMALL:
-        to_next_sample = _as_one_function(to_next_sample)
+    small = progress.state.position.shape[1] <= SMALL
+    advance = _as_one_function(to_next_sample) if small else to_next_sample
 
     def store(s: Array, carry: Any) -> Any:
-        progress, recording = carry
-        progress, low, high = to_next_sample(progress)
-        position, velocity = progress.state.position, progress.state.velocity
-        sample = Recording(position, velocity, observe(system, position, velocity), low, high)
-        return progress, jax.tree.map(lambda all, one: all.at[s].set(one), recording, sample)
+        progress, *recorded = carry
+        progress, extremes = advance(progress)
+        sample = (progress.state.position, progress.state.velocity, extremes)
+        return progress, *(all.at[s].set(one) for all, one in zip(recorded, sample, strict=True))
 
     x = progress.state.position
-    scalars = Observables(*(jnp.zeros(capacity, x.dtype) for _ in Observables._fields))
-    arrays = jnp.zeros((capacity, *x.shape), x.dtype)
-    empty = Recording(arrays, arrays, scalars, scalars, scalars)
-    return jax.lax.fori_loop(0, samples, store, (progress, empty))
+    states = jnp.zeros((capacity, *x.shape), x.dtype)
+    extremes = jnp.zeros((capacity, 2 * len(Observables._fields)), x.dtype)
+    return jax.lax.fori_loop(0, samples, store, (progress, states, states, extremes))
 
 
 def _as_one_function(loop: Callable[[Progress], Any]) -> Callable[[Progress], Any]:
@@ -177,7 +178,9 @@ def _as_one_function(loop: Callable[[Progress], Any]) -> Callable[[Progress], An
         from jax.experimental.scheduling_groups import xla_metadata_call
     except ImportError:
         return loop
-    return xla_metadata_call(loop, xla_cpu_small_call="true", inlineable="false")
+    return xla_metadata_call(  # type: ignore[no-untyped-call]
+        loop, xla_cpu_small_call="true", inlineable="false"
+    )
 
 
 class CompiledRun:
@@ -204,8 +207,9 @@ class CompiledRun:
         self._system = system
         self._dt = dtype(dt)
         self._limit = dtype(min(energy_limit, float(np.finfo(dtype).max)))
-        with float64_allowed():
-            self._progress = _start(self._method, system, initial)
+        self._progress = Progress(
+            self._method.start(system, initial), np.array(0, np.int64), np.array(NEVER)
+        )
 
     def compile(self, samples: int) -> None:
         """Compile what `advance` will need for this number of samples, without taking a step."""
@@ -213,17 +217,19 @@ class CompiledRun:
 
     def advance(self, stride: int, samples: int) -> Recording:
         """Take `stride` x `samples` steps and return the samples, as NumPy arrays."""
-        self._progress, recording = self._run(stride, samples, _capacity(samples))
-        return jax.tree.map(lambda all: np.asarray(all)[:samples], recording)
+        self._progress, *recorded = self._run(stride, samples, _capacity(samples))
+        position, velocity, extremes = (np.asarray(all)[:samples] for all in recorded)
+        high, negative_low = np.split(extremes.T, 2)
+        return Recording(position, velocity, Observables(*-negative_low), Observables(*high))
 
     @property
     def intact_steps(self) -> int:
         """For how many steps from the start the energy was finite and within its limit."""
-        return int(self._progress.intact_steps)
+        return int(min(self._progress.steps, self._progress.broken))
 
-    def _run(self, stride: int, samples: int, capacity: int) -> tuple[Progress, Recording]:
+    def _run(self, stride: int, samples: int, capacity: int) -> Any:
         with float64_allowed():
-            return jax.block_until_ready(
+            return jax.block_until_ready(  # type: ignore[no-untyped-call]
                 _advance(
                     self._method,
                     capacity,

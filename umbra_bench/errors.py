@@ -11,7 +11,7 @@ class UmbraBenchError(Exception):
 
 
 class ScenarioError(UmbraBenchError):
-    """A scenario file that is wrong; the message names the file, the key, the value and what is allowed."""
+    """A scenario file that is wrong: the message names file, key, value and what is allowed."""
 
 
 class UnsupportedScenario(UmbraBenchError):

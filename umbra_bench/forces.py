@@ -13,9 +13,9 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol
 
 import jax
 import numpy as np
@@ -24,8 +24,6 @@ from umbra_bench import scenario as problem
 from umbra_bench.scenario import Scenario
 from umbra_bench.umbra.bodies import Array, Bodies
 from umbra_bench.umbra.pipeline import TWO_PI, gravity_force
-
-Law = TypeVar("Law")
 
 
 class ForceLaw(Protocol):
@@ -49,15 +47,8 @@ class ForceLaw(Protocol):
         ...
 
 
-def _law(cls: type[Law]) -> type[Law]:
-    """Make a frozen dataclass whose fields are parameters, but for those marked static, a pytree."""
-    cls = dataclass(frozen=True)(cls)  # type: ignore[call-overload]
-    static = [f.name for f in dataclasses.fields(cls) if f.metadata.get("static")]  # type: ignore[arg-type]
-    data = [f.name for f in dataclasses.fields(cls) if not f.metadata.get("static")]  # type: ignore[arg-type]
-    return jax.tree_util.register_dataclass(cls, data_fields=data, meta_fields=static)
-
-
 def _static() -> Any:
+    """A field that is part of a law's shape, not one of its parameters."""
     return dataclasses.field(metadata={"static": True})
 
 
@@ -136,7 +127,8 @@ def _length(vector: Array) -> Array:
     return xp.where(square > 0.0, xp.sqrt(xp.where(square > 0.0, square, 1.0)), 0.0)
 
 
-@_law
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class UniformGravity:
     """F = m g on every body whose flag is set, through the devlog's own formula."""
 
@@ -152,7 +144,8 @@ class UniformGravity:
         return -(self.weight * position)[:2].sum()
 
 
-@_law
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class Spring:
     """F = -(k (l - l0) + c dl/dt) d/l, with d from the spring's far end to its point on the body.
 
@@ -212,7 +205,8 @@ class Spring:
         return rate if self.other is None else rate - self.other.take(velocity)[:2]
 
 
-@_law
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class TorsionSpring:
     """torque = -k (angle - rest) - c omega, the difference taken in (-pi, pi]."""
 
@@ -240,7 +234,8 @@ class TorsionSpring:
         return (0.5 * self.stiffness * twist**2).sum()
 
 
-@_law
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class CentralGravity:
     """F = -mu m r / |r|^3, with r from the centre to the body."""
 
@@ -253,18 +248,24 @@ class CentralGravity:
 
     def force(self, position: Array, velocity: Array) -> Array:
         xp = position.__array_namespace__()
-        x, y = self.acting.take(position)[:2] - self.centre
-        square = x * x + y * y
-        pull = -self.strength / (square * xp.sqrt(square))
+        x, y, inverse = self._from_centre(position)
+        pull = -self.strength * inverse * inverse * inverse
         return self.acting.collect(xp.stack([pull * x, pull * y, xp.zeros_like(pull)]))
 
     def potential(self, position: Array) -> Array:
+        _, _, inverse = self._from_centre(position)
+        return -(self.strength * inverse).sum()
+
+    def _from_centre(self, position: Array) -> tuple[Array, Array, Array]:
+        """The vector r and 1/|r|, which force and potential share."""
         xp = position.__array_namespace__()
-        x, y = self.acting.take(position)[:2] - self.centre
-        return -(self.strength / xp.sqrt(x * x + y * y)).sum()
+        x, y, _ = self.acting.take(position)
+        x, y = x - self.centre[0], y - self.centre[1]
+        return x, y, 1.0 / xp.sqrt(x * x + y * y)
 
 
-@_law
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class MutualGravity:
     """F_i = G m_i sum_j m_j (x_j - x_i) / |x_j - x_i|^3 over every two of the bodies."""
 
@@ -299,7 +300,8 @@ class MutualGravity:
         return gap, square, others
 
 
-@_law
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class WorldForce:
     """A force F fixed in the world at a point of the body; its potential is -F . (x + R p)."""
 
@@ -325,7 +327,8 @@ class WorldForce:
         return -(self.push * place).sum()
 
 
-@_law
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class BodyForce:
     """A thruster: a force that turns with the body, at a point of it. It has no potential."""
 
@@ -346,7 +349,8 @@ class BodyForce:
         return position.__array_namespace__().zeros_like(position[0, 0])
 
 
-@_law
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class ConstantTorque:
     """A constant torque. Angles wrap, so it has no potential that is a function of the state."""
 
@@ -365,7 +369,8 @@ class ConstantTorque:
         return position.__array_namespace__().zeros_like(position[0, 0])
 
 
-@_law
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class Drag:
     """F = -c v."""
 
@@ -379,9 +384,7 @@ class Drag:
         xp = position.__array_namespace__()
         vx, vy = self.acting.take(velocity)[:2]
         none = xp.zeros_like(self.coefficient)
-        return self.acting.collect(
-            xp.stack([-self.coefficient * vx, -self.coefficient * vy, none])
-        )
+        return self.acting.collect(xp.stack([-self.coefficient * vx, -self.coefficient * vy, none]))
 
     def potential(self, position: Array) -> Array:
         return position.__array_namespace__().zeros_like(position[0, 0])
@@ -419,7 +422,7 @@ class _Builder:
 
     scenario: Scenario
     bodies: Bodies
-    dtype: Callable[..., Any]
+    dtype: Any
 
     def array(self, values: Iterable[Any]) -> np.ndarray:
         """Values of each row last: (S,) or (2, S)."""

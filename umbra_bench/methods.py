@@ -56,6 +56,4 @@ def find_method(name: str) -> Method:
     try:
         return METHODS[name]
     except KeyError:
-        raise UmbraBenchError(
-            f"--method {name!r} is not a method{hint(name, METHODS)}"
-        ) from None
+        raise UmbraBenchError(f"--method {name!r} is not a method{hint(name, METHODS)}") from None

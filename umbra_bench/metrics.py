@@ -19,8 +19,14 @@ from umbra_bench.umbra.bodies import Bodies
 FLOOR_FACTOR = 10.0
 """An error below this multiple of the reference's certified bound is at the floor."""
 
-SLOPE_SPREAD = 0.1
+SMALL_ERROR = 0.1
+"""An error above this part of the motion's own scale is not small: no order is read from it."""
+
+SLOPE_SPREAD = 0.05
 """Successive slopes that differ by no more than this are one asymptotic range."""
+
+LEAST_ORDER = 0.5
+"""A smaller slope is an error that saturates (or rounding), not an order."""
 
 LEAST_POINTS = 3
 """The least number of steps in an asymptotic range."""
@@ -77,7 +83,10 @@ class Order(NamedTuple):
 
 @dataclass(frozen=True)
 class ErrorPoint:
-    """The error of one step of a sweep; `usable` is false at the floor or after a divergence."""
+    """The error of one step of a sweep.
+
+    `usable` is false at the floor, after a divergence and where the error is not small.
+    """
 
     dt: float
     error: float
@@ -89,7 +98,8 @@ def observed_order(points: Sequence[ErrorPoint]) -> Order:
 
     From the longest step to the one with the least error (shorter ones only show rounding), the range
     is the one that ends at the shortest possible step, reaches as far towards long steps as slopes
-    agree within :data:`SLOPE_SPREAD`, and has at least :data:`LEAST_POINTS` steps.
+    agree within :data:`SLOPE_SPREAD`, and has at least :data:`LEAST_POINTS` steps and slopes of at
+    least :data:`LEAST_ORDER`.
     """
     usable = sorted(
         (p for p in points if p.usable and math.isfinite(p.error) and p.error > 0.0),
@@ -106,7 +116,7 @@ def observed_order(points: Sequence[ErrorPoint]) -> Order:
         begin = end
         while begin > 0 and np.ptp(slopes[begin - 1 : end]) <= SLOPE_SPREAD:
             begin -= 1
-        if end - begin >= LEAST_POINTS - 1:
+        if end - begin >= LEAST_POINTS - 1 and slopes[begin:end].min() >= LEAST_ORDER:
             return _fit(log_dt[begin : end + 1], log_error[begin : end + 1])
     return none
 

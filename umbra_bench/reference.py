@@ -21,8 +21,8 @@ import scipy.integrate
 from umbra_bench.closed_form import solve_closed_form
 from umbra_bench.compiled import Observables, observe
 from umbra_bench.errors import UmbraBenchError
+from umbra_bench.jax_settings import float64_allowed
 from umbra_bench.metrics import gyration, position_distance, velocity_distance
-from umbra_bench.precision import float64_allowed
 from umbra_bench.scenario import Scenario
 from umbra_bench.state import inertial_mass
 from umbra_bench.system import System, build_system, initial_state
@@ -117,7 +117,9 @@ def solve_reference(
     system, start = build_system(scenario), initial_state(scenario)
     unit = _units(start.position, start.velocity)
     with float64_allowed():
-        scaled, complete = _solve(system, np.stack(start) / unit, unit, times, tolerance, first_step)
+        scaled, complete = _solve(
+            system, np.stack(start) / unit, unit, times, tolerance, first_step
+        )
         if not complete:
             raise UmbraBenchError(
                 f"scenario {scenario.name}: the reference did not reach t = {times[-1]!r} s; "
@@ -258,8 +260,12 @@ def _observe_all(system: System, position: Any, velocity: Any) -> Observables:
 
 def observe_all(system: System, position: np.ndarray, velocity: np.ndarray) -> Observables:
     """Energy and momenta of many states, (T, 3, N) each, as NumPy arrays of shape (T,)."""
+    count = len(position)
+    # Rounded up to a power of two, most numbers of states need no program of their own.
+    padding = [(0, max(256, 1 << (count - 1).bit_length()) - count), (0, 0), (0, 0)]
+    padded = (np.pad(part, padding, mode="edge") for part in (position, velocity))
     with float64_allowed():
-        return jax.tree.map(np.asarray, _observe_all(system, position, velocity))
+        return jax.tree.map(lambda all: np.asarray(all)[:count], _observe_all(system, *padded))
 
 
 def _scales(system: System, position: np.ndarray, velocity: np.ndarray) -> Scales:

@@ -67,12 +67,13 @@ def save_study(study: Study, folder: Path = RESULTS) -> None:
         _write(folder / f"{name}.parquet", table.write_parquet)
     for name, table in zip(SERIES, (study.motion, study.energy), strict=True):
         _write(folder / f"{name}.parquet", table.write_parquet)
-    scenarios = {
-        scenario.name: scenario.model_dump(mode="json", exclude_none=True)
-        for scenario in study.scenarios
-    }
-    save_json(scenarios, folder / "scenarios.json")
+    save_json(described(study.scenarios), folder / "scenarios.json")
     save_json(environment(study.scenarios), folder / "environment.json")
+
+
+def described(scenarios: list[Scenario]) -> dict[str, Any]:
+    """What the scenarios of a study state, by name."""
+    return {s.name: s.model_dump(mode="json", exclude_none=True) for s in scenarios}
 
 
 def save_json(value: Any, path: Path) -> None:

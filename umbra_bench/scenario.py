@@ -194,8 +194,12 @@ class Budget(_Table):
     """Absolute limits for one method at the default step."""
 
     energy_error_max: Number | None = Field(default=None, gt=0.0, description=_POSITIVE)
-    energy_drift_rate: Number | None = Field(default=None, gt=0.0, description=_POSITIVE + ", per s")
-    position_error_max: Number | None = Field(default=None, gt=0.0, description=_POSITIVE + ", in m")
+    energy_drift_rate: Number | None = Field(
+        default=None, gt=0.0, description=_POSITIVE + ", per s"
+    )
+    position_error_max: Number | None = Field(
+        default=None, gt=0.0, description=_POSITIVE + ", in m"
+    )
     velocity_error_max: Number | None = Field(
         default=None, gt=0.0, description=_POSITIVE + ", in m/s"
     )
@@ -282,7 +286,7 @@ def parse_scenario(document: dict[str, Any], path: Path) -> Scenario:
     try:
         scenario = Scenario.model_validate(document)
     except ValidationError as error:
-        raise ScenarioError(f"{path}: {_explain(error, document)}") from None
+        raise ScenarioError(f"{path}: {_explain(error)}") from None
     for complaint in _complaints(scenario, path.stem):
         raise ScenarioError(f"{path}: {complaint}")
     return scenario
@@ -339,7 +343,7 @@ _TAGGED: dict[str, dict[str, type[BaseModel]]] = {
 }
 
 
-def _explain(error: ValidationError, document: dict[str, Any]) -> str:
+def _explain(error: ValidationError) -> str:
     """The first fault of a file in one line: key, value, what is allowed."""
     fault = error.errors(include_url=False)[0]
     key, allowed, table = _locate(fault["loc"])
@@ -359,8 +363,8 @@ def _explain(error: ValidationError, document: dict[str, Any]) -> str:
 
 def _locate(loc: Sequence[int | str]) -> tuple[str, str, type[BaseModel]]:
     """The dotted key of a pydantic location, what its field allows, and the table that holds it."""
-    key, allowed, table = "", "a value of another form", type[BaseModel]
-    table = Scenario
+    key, allowed = "", "a value of another form"
+    table: type[BaseModel] = Scenario
     tags: dict[str, type[BaseModel]] = {}
     for part in loc:
         if isinstance(part, int):

@@ -21,7 +21,10 @@ from umbra_bench.system import build_system, initial_state
 class Run(Protocol):
     """A method at work: each call goes on where the one before ended."""
 
-    intact_steps: int
+    @property
+    def intact_steps(self) -> int:
+        """For how many steps from the start the energy was finite and within its limit."""
+        ...
 
     def advance(self, stride: int, samples: int) -> Recording:
         """Take `stride` x `samples` steps and return the samples."""
@@ -43,7 +46,7 @@ class ReferenceRun:
         observables = observe_all(build_system(self._scenario), position, velocity)
         at = Observables(*(values[1:] for values in observables))
         self.intact_steps = int(steps[-1])
-        return Recording(position[1:], velocity[1:], at, at, at)
+        return Recording(position[1:], velocity[1:], at, at)
 
 
 def open_run(
@@ -136,10 +139,9 @@ def simulate(
     wall_time = time.perf_counter() - began
     kept = find_method(method).precision or precision
     start = initial_state(scenario, kept)
-    first = observe_all(build_system(scenario, kept), *(part[None] for part in start))
     position = np.concatenate([start.position[None], recording.position])
     velocity = np.concatenate([start.velocity[None], recording.velocity])
-    at = Observables(*map(np.concatenate, zip(first, recording.at, strict=True)))
+    at = observe_all(build_system(scenario, kept), position, velocity)
     times = dt * every * np.arange(samples + 1)
     return Trajectory(
         scenario=scenario.name,

@@ -26,15 +26,20 @@ def inertial_mass(bodies: Bodies) -> Array:
 
 def kinetic_energy(bodies: Bodies, velocity: Array) -> Array:
     """T = sum of m v^2/2 + I omega^2/2, J."""
-    return (0.5 * inertial_mass(bodies) * velocity * velocity).sum()
+    mx, my, inertia = inertial_mass(bodies)
+    vx, vy, omega = velocity
+    return 0.5 * (mx * vx * vx + my * vy * vy + inertia * omega * omega).sum()
 
 
 def linear_momentum(bodies: Bodies, velocity: Array) -> Array:
     """P = sum of m v, N s, shape (2,)."""
-    return (inertial_mass(bodies) * velocity)[:2].sum(1)
+    mx, my, _ = inertial_mass(bodies)
+    xp = velocity.__array_namespace__()
+    return xp.stack([(mx * velocity[0]).sum(), (my * velocity[1]).sum()])
 
 
 def angular_momentum(bodies: Bodies, position: Array, velocity: Array) -> Array:
     """L = sum of m (x vy - y vx) + I omega about the origin, N m s."""
-    p = inertial_mass(bodies) * velocity
-    return (position[0] * p[1] - position[1] * p[0] + p[2]).sum()
+    mx, my, inertia = inertial_mass(bodies)
+    vx, vy, omega = velocity
+    return (position[0] * my * vy - position[1] * mx * vx + inertia * omega).sum()

@@ -21,6 +21,7 @@ from umbra_bench.errors import UmbraBenchError, UnsupportedScenario
 from umbra_bench.methods import METHODS, PRECISIONS, find_method
 from umbra_bench.metrics import (
     FLOOR_FACTOR,
+    SMALL_ERROR,
     ErrorPoint,
     drift_rate,
     observed_order,
@@ -34,7 +35,7 @@ from umbra_bench.simulate import Trajectory, simulate
 DIVERGENCE = 1e12
 """An energy beyond this multiple of the scenario's energy scale counts as a divergence."""
 
-ENGINE_STEPS = 4000
+ENGINE_STEPS = 2000
 """The most steps of one engine run: engines step in Python, and games step at 0.01 s."""
 
 QUICK_HALVINGS = 3
@@ -261,9 +262,7 @@ def measure(trajectory: Trajectory, reference: Reference) -> dict[str, Any]:
             "position_error_final": float(position[-1]),
             "energy_error_max": _largest_error(trajectory, reference, "energy"),
             "energy_drift_rate": drift_rate(trajectory.times, energy),
-            "angular_momentum_error_max": _largest_error(
-                trajectory, reference, "angular_momentum"
-            ),
+            "angular_momentum_error_max": _largest_error(trajectory, reference, "angular_momentum"),
             "reference_error": reference.certificate.position,
             "diverged_at": trajectory.diverged_at,
             "wall_time": trajectory.wall_time,
@@ -295,16 +294,16 @@ def _largest_error(trajectory: Trajectory, reference: Reference, name: str) -> f
 
 def orders_of(runs: Sequence[dict[str, Any]], reference: Reference) -> list[dict[str, Any]]:
     """The observed order of each quantity over one line of a sweep."""
-    floors = {
-        quantity: FLOOR_FACTOR * getattr(reference.certificate, quantity) for quantity in QUANTITIES
-    }
+    scales = {"position": reference.scales.length, "velocity": reference.scales.speed}
     rows = []
     for quantity, column in QUANTITIES.items():
+        floor = FLOOR_FACTOR * getattr(reference.certificate, quantity)
+        ceiling = SMALL_ERROR * scales.get(quantity, 1.0)
         points = [
             ErrorPoint(
                 run["dt"],
                 run[column],
-                run["diverged_at"] is None and run[column] >= floors[quantity],
+                run["diverged_at"] is None and floor <= run[column] <= ceiling,
             )
             for run in runs
         ]

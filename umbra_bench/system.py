@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -40,10 +41,9 @@ class System(NamedTuple):
 
     def force(self, position: Array, velocity: Array) -> Array:
         """Force and torque on every body, N and N m."""
-        total = position.__array_namespace__().zeros_like(position)
-        for law in self.laws:
-            total = total + law.force(position, velocity)
-        return total
+        if not self.laws:
+            return position.__array_namespace__().zeros_like(position)
+        return functools.reduce(operator.add, (law.force(position, velocity) for law in self.laws))
 
     def acceleration(self, position: Array, velocity: Array) -> Array:
         """a = F (1/m), m/s^2 and rad/s^2."""
@@ -51,10 +51,9 @@ class System(NamedTuple):
 
     def potential_energy(self, position: Array) -> Array:
         """V, J, of the forces that have a potential."""
-        total = position.__array_namespace__().zeros_like(position[0, 0])
-        for law in self.laws:
-            total = total + law.potential(position)
-        return total
+        if not self.laws:
+            return position.__array_namespace__().zeros_like(position[0, 0])
+        return functools.reduce(operator.add, (law.potential(position) for law in self.laws))
 
     def energy(self, position: Array, velocity: Array) -> Array:
         """E = T + V, J."""
@@ -79,7 +78,7 @@ def initial_state(scenario: Scenario, precision: str = "float64") -> State:
 def compiled_force(scenario: Scenario) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """The force on every body as a compiled function of NumPy arrays, for engines that ask each step.
 
-    Its caller holds :func:`umbra_bench.precision.float64_allowed`, which costs more than the force.
+    Its caller holds :func:`umbra_bench.jax_settings.float64_allowed`, which costs more than the force.
     """
     return _compiled_force(scenario.model_dump_json())
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from umbra_bench.compiled import Observables, Recording
 from umbra_bench.errors import UmbraBenchError
-from umbra_bench.precision import float64_allowed
+from umbra_bench.jax_settings import float64_allowed
 from umbra_bench.reference import observe_all
 from umbra_bench.scenario import Scenario
 from umbra_bench.system import System, build_system, initial_state
@@ -73,34 +73,39 @@ class EngineRun:
         position, velocity = np.empty(shape), np.empty(shape)
         low = Observables(*(np.full(samples, np.inf) for _ in Observables._fields))
         high = Observables(*(np.full(samples, -np.inf) for _ in Observables._fields))
+        total = stride * samples
         with np.errstate(all="ignore"), float64_allowed():
-            for s in range(samples):
-                for begin in range(0, stride, CHUNK):
-                    seen = self._take_steps(min(CHUNK, stride - begin))
-                    for least, most, values in zip(low, high, seen, strict=True):
-                        least[s] = np.minimum(least[s], values.min())
-                        most[s] = np.maximum(most[s], values.max())
-                position[s], velocity[s] = self._position, self._velocity
-            at = observe_all(self._system, position, velocity)
-        return Recording(position, velocity, at, low, high)
+            for begin in range(0, total, CHUNK):
+                steps = np.arange(begin, min(begin + CHUNK, total))
+                x, v = self._take_steps(len(steps))
+                seen = observe_all(self._system, x, v)
+                self._watch(seen.energy)
+                for least, most, values in zip(low, high, seen, strict=True):
+                    np.minimum.at(least, steps // stride, values)
+                    np.maximum.at(most, steps // stride, values)
+                at_sample = (steps % stride == 0) & (steps > 0)
+                position[steps[at_sample] // stride - 1] = x[at_sample]
+                velocity[steps[at_sample] // stride - 1] = v[at_sample]
+        position[-1], velocity[-1] = self._position, self._velocity
+        return Recording(position, velocity, low, high)
 
-    def _take_steps(self, steps: int) -> Observables:
-        """Take steps and return what the states before each of them measure."""
-        shape = (CHUNK, *self._position.shape)
-        position, velocity = np.zeros(shape), np.zeros(shape)
-        for n in range(steps):
+    def _take_steps(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Take steps and return the states before each of them, shape (count, 3, N)."""
+        shape = (count, *self._position.shape)
+        position, velocity = np.empty(shape), np.empty(shape)
+        damping = self._system.bodies.damping
+        for n in range(count):
             position[n], velocity[n] = self._position, self._velocity
             self._engine.step(self._dt, self._position, self._velocity)
             self._engine.read(self._position, self._velocity)
-            if self._system.bodies.damping is not None:
-                self._velocity = apply_damping(
-                    self._velocity, self._system.bodies.damping, self._dt
-                )
+            if damping is not None:
+                self._velocity = apply_damping(self._velocity, damping, self._dt)
                 self._engine.set_velocity(self._velocity)
-        seen = observe_all(self._system, position, velocity)
-        seen = Observables(*(values[:steps] for values in seen))
-        within = np.abs(seen.energy) <= self._limit
+        return position, velocity
+
+    def _watch(self, energy: np.ndarray) -> None:
+        """Count the steps up to the first whose energy is not finite or beyond its limit."""
+        within = np.abs(energy) <= self._limit
         if self._intact:
-            self.intact_steps += int(steps if within.all() else np.argmin(within))
+            self.intact_steps += int(len(within) if within.all() else np.argmin(within))
             self._intact = bool(within.all())
-        return seen

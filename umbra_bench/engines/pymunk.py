@@ -44,12 +44,10 @@ class _Pymunk:
         self.bodies = [_create(definition) for definition in definitions]
         self.space.add(*self.bodies)
         self.dynamic = [
-            (i, body)
-            for i, body in enumerate(self.bodies)
-            if body.body_type == pymunk.Body.DYNAMIC
+            (i, body) for i, body in enumerate(self.bodies) if body.body_type == pymunk.Body.DYNAMIC
         ]
 
-    def step(self, dt: float, position: np.ndarray, velocity: np.ndarray) -> None:  # noqa: ARG002
+    def step(self, dt: float, position: np.ndarray, velocity: np.ndarray) -> None:
         self.space.step(dt)
 
     def read(self, position: np.ndarray, velocity: np.ndarray) -> None:
@@ -113,12 +111,13 @@ class OwnSprings(_Pymunk):
         self.space.gravity = scenario.gravity
         if any(scenario.gravity) and not all(b.affected_by_gravity for b in scenario.bodies):
             raise UnsupportedScenario("pymunk's gravity cannot spare a body")
+        world = self.space.static_body
         by_name = {b.name: body for b, body in zip(scenario.bodies, self.bodies, strict=True)}
         for force in scenario.forces:
-            body = by_name.get(getattr(force, "body", ""))
             match force:
                 case problem.Spring():
-                    other = by_name[force.other] if force.other else self.space.static_body
+                    body = by_name[force.body]
+                    other = by_name[force.other] if force.other else world
                     end = force.anchor or (0.0, 0.0)
                     spring: pymunk.Constraint = pymunk.DampedSpring(
                         other,
@@ -131,8 +130,8 @@ class OwnSprings(_Pymunk):
                     )
                 case problem.TorsionSpring():
                     spring = pymunk.DampedRotarySpring(
-                        self.space.static_body,
-                        body,
+                        world,
+                        by_name[force.body],
                         -force.rest_angle,
                         force.stiffness,
                         force.damping,

@@ -46,12 +46,12 @@ def integrate_forces(
     return velocity, new_acceleration
 
 
-def integrate_velocities(
-    position: Array, velocity: Array, acceleration: Array, dt: Array
-) -> Array:
+def integrate_velocities(position: Array, velocity: Array, acceleration: Array, dt: Array) -> Array:
     """Phase 2, velocities become positions: x += v dt + a dt^2/2; angles end in [0, 2 pi)."""
-    position = position + velocity * dt + acceleration * (dt * dt * 0.5)
-    return wrap_angle(position)
+    # The displacement is summed before it is added, as C++ does with +=: in float32 the second term
+    # is often less than the last digit of the position.
+    displacement = velocity * dt + acceleration * (dt * dt * 0.5)
+    return wrap_angle(position + displacement)
 
 
 def apply_damping(velocity: Array, damping: Array | None, dt: Array) -> Array:

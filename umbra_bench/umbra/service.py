@@ -59,7 +59,8 @@ class PhysicsService:
 
     def apply_force(self, body: int, force: Vector) -> None:
         """Push at the centre of mass for the next step, N."""
-        self._accumulate(body, (*_finite("force", force, 2), 0.0))
+        fx, fy = _finite("force", force, 2)
+        self._accumulate(body, (fx, fy, 0.0))
 
     def apply_force_at_point(self, body: int, force: Vector, point: Vector) -> None:
         """Push at a point of the world for the next step, N, m: a force and the torque r x F."""
@@ -68,11 +69,13 @@ class PhysicsService:
 
     def apply_torque(self, body: int, torque: float) -> None:
         """Twist for the next step, N m."""
-        self._accumulate(body, (0.0, 0.0, *_finite("torque", (torque,), 1)))
+        (moment,) = _finite("torque", (torque,), 1)
+        self._accumulate(body, (0.0, 0.0, moment))
 
     def apply_impulse(self, body: int, impulse: Vector) -> None:
         """Change the velocity at once by J/m, N s."""
-        self._kick(body, (*_finite("impulse", impulse, 2), 0.0))
+        jx, jy = _finite("impulse", impulse, 2)
+        self._kick(body, (jx, jy, 0.0))
 
     def apply_impulse_at_point(self, body: int, impulse: Vector, point: Vector) -> None:
         """Change velocity and angular velocity at once by J/m and (r x J)/I, N s, m."""

@@ -1,0 +1,53 @@
+# `make` alone lists what there is. Every target works as the first command typed on a fresh machine
+# with Python 3.11 or later: it creates .venv and installs the pinned versions first.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+JOBS ?= 2
+
+.DEFAULT_GOAL := help
+.PHONY: help setup report study gate claims test check bench clean
+
+help:  ## list the targets
+	@awk 'BEGIN {FS = ":.*## "} /^[a-z]+:.*## / {printf "  %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup: $(READY)  ## create .venv and install
+
+$(READY): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo "umbra-bench: Python 3.11 or later is needed; set PYTHON=..." >&2; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check \
+		--editable '.[dev]'
+	@touch $@
+
+study: $(READY)  ## sweep all methods over all scenarios into results/
+	$(BIN)/umbra-bench study
+
+report: study  ## run the study and write reports/index.md with its figures
+	$(BIN)/umbra-bench report
+
+gate: $(READY)  ## judge the integrators against results/baseline.json
+	@echo "umbra-bench: the gate is not built yet" >&2; exit 2
+
+claims: $(READY)  ## measure the devlog's statements
+	@echo "umbra-bench: the claims are not built yet" >&2; exit 2
+
+test: $(READY)  ## run the test suite
+	$(BIN)/python -m pytest -n $(JOBS)
+
+check: $(READY)  ## formatting, lint and types
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+bench: $(READY)  ## measure speed, as ratios within one run
+	$(BIN)/python benchmarks/step_cost.py
+
+clean:  ## remove everything generated, .venv included
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis build
+	find results reports -mindepth 1 -not -name '.gitkeep' -not -name baseline.json \
+		-not -path 'reports/showcase*' -delete
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

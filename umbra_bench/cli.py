@@ -1,0 +1,200 @@
+"""The command line: it reads arguments, calls one function and prints.
+
+Exit codes: 0 done and good; 1 judged and bad; 2 could not be judged or done, with one line on
+standard error. Numerical libraries are imported by the commands that need them.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from umbra_bench.errors import UmbraBenchError
+from umbra_bench.methods import METHODS, PRECISIONS
+
+_PRECISION = click.Choice(PRECISIONS)
+_FOLDER = click.Path(path_type=Path, file_okay=False)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="umbra-bench")
+def cli() -> None:
+    """How far is a real-time physics engine from the truth, and at which step size?"""
+
+
+def main() -> None:
+    """Run the command line; every failure that the user can mend is one line and exit code 2."""
+    try:
+        code = cli.main(standalone_mode=False)
+    except click.exceptions.NoArgsIsHelpError as help_text:
+        click.echo(help_text.format_message())
+        code = 2
+    except click.ClickException as error:
+        code = _complain(error.format_message())
+    except UmbraBenchError as error:
+        code = _complain(str(error))
+    except (click.Abort, KeyboardInterrupt):
+        code = _complain("interrupted")
+    except BrokenPipeError:  # the reader of our output had enough
+        sys.stderr.close()
+        code = 0
+    sys.exit(code or 0)
+
+
+def _complain(message: str) -> int:
+    click.echo(f"umbra-bench: {' '.join(message.split())}", err=True)
+    return 2
+
+
+@cli.command()
+@click.argument("scenario")
+@click.option("--method", required=True, help="See `umbra-bench list methods`.")
+@click.option("--dt", type=float, required=True, help="Step, s.")
+@click.option("--steps", type=click.IntRange(1), help="Default: as many as fit in the duration.")
+@click.option("--precision", type=_PRECISION, default="float64", show_default=True)
+@click.option("--every", type=click.IntRange(1), default=1, help="Write every M-th state.")
+@click.option("--output", default="-", help="A file, or - for standard output.")
+def simulate(
+    scenario: str,
+    method: str,
+    dt: float,
+    steps: int | None,
+    precision: str,
+    every: int,
+    output: str,
+) -> None:
+    """Run one method over SCENARIO (a name in scenarios/ or a file) and write its states as CSV."""
+    _prepare()
+    from umbra_bench.scenario import load_scenario
+    from umbra_bench.trajectory_csv import write_trajectory
+
+    write_trajectory(load_scenario(scenario), method, dt, steps, precision, every, output)
+
+
+@cli.command()
+@click.argument("scenarios", nargs=-1, metavar="[SCENARIO ...]")
+@click.option("--method", "methods", multiple=True, help="May be repeated. Default: all.")
+@click.option("--precision", "precisions", multiple=True, type=_PRECISION, help="Default: both.")
+@click.option("--quick", is_flag=True, help="Only the longest steps of each sweep.")
+@click.option("--results", type=_FOLDER, default="results", show_default=True)
+def study(
+    scenarios: tuple[str, ...],
+    methods: tuple[str, ...],
+    precisions: tuple[str, ...],
+    quick: bool,
+    results: Path,
+) -> None:
+    """Sweep methods over scenarios and step sizes; write the tables into results/."""
+    _prepare()
+    from umbra_bench.results import save_study
+    from umbra_bench.scenario import list_scenarios, load_scenario
+    from umbra_bench.study import run_study
+
+    loaded = [load_scenario(name) for name in scenarios or list_scenarios()]
+    with _progress("Study") as listener:
+        found = run_study(loaded, methods, precisions or PRECISIONS, quick=quick, listener=listener)
+    save_study(found, results)
+    click.echo(f"{found.runs.height} runs in {results}/study.csv, orders in {results}/orders.csv")
+
+
+@cli.command()
+@click.option("--results", type=_FOLDER, default="results", show_default=True)
+@click.option("--output", type=_FOLDER, default="reports", show_default=True)
+def report(results: Path, output: Path) -> None:
+    """Draw the report from the tables in results/; simulates nothing."""
+    from umbra_bench.report import write_report
+
+    with _progress("Report") as listener:
+        page = write_report(results, output, listener)
+    click.echo(f"{page}")
+
+
+@cli.command(name="list")
+@click.argument("what", type=click.Choice(["scenarios", "methods", "forces"]))
+@click.option("--json", "as_json", is_flag=True, help="For programs.")
+def list_(what: str, as_json: bool) -> None:
+    """List what can be named."""
+    rows = {"scenarios": _scenario_rows, "methods": _method_rows, "forces": _force_rows}[what]()
+    if as_json:
+        click.echo(json.dumps(rows, indent=2))
+        return
+    width = max(len(row["name"]) for row in rows)
+    for row in rows:
+        click.echo(f"{row['name']:{width}}  {row['title']}")
+
+
+def _scenario_rows() -> list[dict[str, Any]]:
+    from umbra_bench.scenario import list_scenarios, load_scenario
+
+    return [
+        {
+            "name": scenario.name,
+            "title": scenario.title,
+            "family": scenario.family,
+            "description": scenario.description,
+            "duration": scenario.duration,
+            "steps": list(scenario.steps),
+            "closed_form": scenario.closed_form,
+        }
+        for scenario in map(load_scenario, list_scenarios())
+    ]
+
+
+def _method_rows() -> list[dict[str, Any]]:
+    return [
+        {"name": m.name, "title": m.title, "kind": m.kind, "precision": m.precision}
+        for m in METHODS.values()
+    ]
+
+
+def _force_rows() -> list[dict[str, Any]]:
+    from umbra_bench.scenario import FORCE_KINDS
+
+    return [
+        {
+            "name": kind,
+            "title": " ".join((table.__doc__ or "").split()),
+            "keys": {
+                key: field.description for key, field in table.model_fields.items() if key != "kind"
+            },
+        }
+        for kind, table in FORCE_KINDS.items()
+    ]
+
+
+def _prepare() -> None:
+    from umbra_bench.jax_settings import keep_compiled_code
+
+    keep_compiled_code()
+
+
+@contextmanager
+def _progress(title: str) -> Iterator[Callable[[str, int, int], None]]:
+    """A progress bar on a terminal, plain lines elsewhere; both on standard error."""
+    if not sys.stderr.isatty():
+
+        def plain(what: str, done: int, total: int) -> None:
+            click.echo(f"[{done}/{total}] {what}", err=True)
+
+        yield plain
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=None)
+
+        def drawn(what: str, done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total, description=f"{title}: {what}")
+
+        yield drawn
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,231 @@
+"""What the tables say, in words and in the tables of the page. Every number is read from results."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import polars as pl
+
+from umbra_bench.methods import METHODS
+from umbra_bench.plots import ScenarioTables
+
+EXACT = 1e-9
+"""A method whose error at the default step is below this part of the motion's size is exact."""
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """A number for people: plain where that is short, else a power of ten."""
+    if value is None:
+        return "–"
+    if math.isnan(value):
+        return "not a number"
+    if math.isinf(value):
+        return "infinite"
+    if value == 0.0 or 1e-2 <= abs(value) < 1e4:
+        return f"{value:.{digits + 1}g}"
+    return f"{value:.{digits - 1}e}"
+
+
+def title(method: str) -> str:
+    """The method's name for people."""
+    return METHODS[method].title if method in METHODS else method
+
+
+def order_text(tables: ScenarioTables, method: str, precision: str, quantity: str) -> str:
+    """An observed order with its standard error, or why there is none."""
+    row = tables.orders.filter(
+        (pl.col("method") == method)
+        & (pl.col("precision") == precision)
+        & (pl.col("quantity") == quantity)
+    )
+    if row.is_empty():
+        return "–"
+    order, error = row.select("order", "standard_error").row(0)
+    if math.isfinite(order):
+        return f"{order:.2f} ± {error:.2f}" if error >= 0.005 else f"{order:.2f}"
+    run = at_default_step(tables, method, precision)
+    exact = run and run["position_error_max"] < EXACT * tables.reference["length_scale"]
+    return "exact" if exact else "none"
+
+
+def order_table(tables: Sequence[ScenarioTables]) -> dict[str, Any]:
+    """Observed orders of position in float64: a row per method, a column per scenario."""
+    return {
+        "columns": [t.scenario["name"] for t in tables],
+        "rows": [
+            (title(method), [order_text(t, method, "float64", "position") for t in tables])
+            for method in _methods(tables)
+        ],
+    }
+
+
+def drift_table(tables: Sequence[ScenarioTables]) -> dict[str, Any]:
+    """Energy drift per second at the default step in float64 and float32."""
+    rows = []
+    for method in _methods(tables):
+        for precision in ("float64", "float32"):
+            found = [at_default_step(t, method, precision) for t in tables]
+            if any(found):
+                cells = [
+                    "–"
+                    if run is None
+                    else f"diverged at {run['diverged_at']:g} s"
+                    if run["diverged_at"] is not None
+                    else f"{run['energy_drift_rate']:+.1e}"
+                    for run in found
+                ]
+                rows.append((title(method), precision, cells))
+    return {"columns": [t.scenario["name"] for t in tables], "rows": rows}
+
+
+def at_default_step(tables: ScenarioTables, method: str, precision: str) -> dict[str, Any] | None:
+    """The run of a method at the default step, if there is one."""
+    rows = tables.runs.filter(
+        (pl.col("method") == method)
+        & (pl.col("precision") == precision)
+        & (pl.col("dt") == tables.default_step)
+    )
+    return rows.to_dicts()[0] if not rows.is_empty() else None
+
+
+def paragraph(tables: Sequence[ScenarioTables]) -> str:
+    """The findings in plain words, with their numbers; only of what the results hold."""
+    sentences = [
+        *_order_sentence(tables),
+        *_energy_sentence(tables),
+        *_repair_sentence(tables),
+        *_pymunk_sentence(tables),
+    ]
+    return " ".join(sentences) or "The results hold no runs of UMBRA's methods."
+
+
+def _order_sentence(tables: Sequence[ScenarioTables]) -> Iterable[str]:
+    found = _orders(tables, "umbra")
+    if found:
+        low, high = min(found.values()), max(found.values())
+        yield (
+            f"**UMBRA's integrator as published is of order {statistics.median(found.values()):.2f} "
+            f"in position** (median over the {len(found)} scenarios that show an order, from "
+            f"{low:.2f} to {high:.2f}); velocity Verlet, which its devlog names, "
+            f"{_order_of('velocity-verlet', tables)}."
+        )
+
+
+def _energy_sentence(tables: Sequence[ScenarioTables]) -> Iterable[str]:
+    spring = next((t for t in tables if t.scenario["name"] == "spring"), None)
+    if spring is None:
+        return
+    runs = {
+        m: at_default_step(spring, m, "float64")
+        for m in ("umbra", "semi-implicit-euler", "velocity-verlet")
+    }
+    umbra, euler, verlet = (run and run["energy_error_max"] for run in runs.values())
+    if umbra and euler and verlet:
+        yield (
+            f"On the spring at dt = {spring.default_step:g} s its energy is wrong by up to "
+            f"{number(100 * umbra)} % of the energy scale: {number(umbra / euler)} times the error "
+            f"of semi-implicit Euler ({number(100 * euler)} %), which it means to improve on, and "
+            f"{number(umbra / verlet)} times that of velocity Verlet ({number(100 * verlet)} %)."
+        )
+
+
+def _repair_sentence(tables: Sequence[ScenarioTables]) -> Iterable[str]:
+    found = _orders(tables, "umbra-repaired")
+    if found:
+        second = sorted(name for name, order in found.items() if order > 1.5)
+        first = sorted(name for name, order in found.items() if order <= 1.5)
+        yield (
+            "With its phases swapped and the first acceleration primed (`umbra-repaired`) the same "
+            f"stages reach order {statistics.median(found[name] for name in second):.2f} on "
+            f"{len(second)} scenarios"
+            if second
+            else "The repaired pipeline (`umbra-repaired`) reaches second order on no scenario"
+        ) + (
+            f"; where damping or forces that read the velocity act ({', '.join(first)}) it stays "
+            "at first order."
+            if first
+            else "."
+        )
+
+
+def _pymunk_sentence(tables: Sequence[ScenarioTables]) -> Iterable[str]:
+    spring = next((t for t in tables if t.scenario["name"] == "spring"), None)
+    before = spring and at_default_step(spring, "pymunk", "float64")
+    inside = spring and at_default_step(spring, "pymunk-velocity-func", "float64")
+    if spring and before and inside:
+        gain = before["energy_drift_rate"] * spring.scenario["duration"]
+        yield (
+            f"pymunk with the force set before `step` is explicit Euler: it gains "
+            f"{number(100 * gain)} % of energy in {spring.scenario['duration']:g} s on the same "
+            "spring; with the force in the velocity callback its energy error stays below "
+            f"{number(100 * inside['energy_error_max'])} %."
+        )
+
+
+def caption(figure: str, tables: ScenarioTables) -> str:
+    """What a figure says, with the number."""
+    name, step = tables.scenario["name"], tables.default_step
+    umbra = at_default_step(tables, "umbra", "float64")
+    verlet = at_default_step(tables, "velocity-verlet", "float64")
+    if umbra is None or verlet is None:
+        return f"`{name}`, all methods of the study."
+    match figure:
+        case "error":
+            return (
+                f"Observed order of position, float64: UMBRA as published "
+                f"{order_text(tables, 'umbra', 'float64', 'position')}, repaired "
+                f"{order_text(tables, 'umbra-repaired', 'float64', 'position')}, velocity Verlet "
+                f"{order_text(tables, 'velocity-verlet', 'float64', 'position')}. At dt = {step:g} s "
+                f"UMBRA is off by up to {number(umbra['position_error_max'])} m, velocity Verlet by "
+                f"{number(verlet['position_error_max'])} m."
+            )
+        case "energy-time":
+            return (
+                f"Energy drift at dt = {step:g} s, float64: UMBRA as published "
+                f"{number(umbra['energy_drift_rate'])} of the energy scale per second, velocity "
+                f"Verlet {number(verlet['energy_drift_rate'])}."
+            )
+        case "energy":
+            return (
+                f"Largest energy error at dt = {step:g} s, float64: UMBRA as published "
+                f"{number(umbra['energy_error_max'])}, velocity Verlet "
+                f"{number(verlet['energy_error_max'])} of the energy scale "
+                f"({number(tables.reference['energy_scale'])} J)."
+            )
+        case _:
+            away = [
+                title(method)
+                for method in tables.methods
+                if (run := at_default_step(tables, method, "float64"))
+                and not run["position_error_max"] < 0.1 * tables.reference["length_scale"]
+            ]
+            leaving = (
+                f"Off by more than a tenth of the motion's size: {', '.join(away)}."
+                if away
+                else "No method is off by more than a tenth of the motion's size."
+            )
+            return f"The reference is the wide grey line beneath. {leaving}"
+
+
+def _methods(tables: Sequence[ScenarioTables]) -> list[str]:
+    found = {method for t in tables for method in t.methods}
+    return [name for name in METHODS if name in found] + sorted(found - set(METHODS))
+
+
+def _orders(tables: Sequence[ScenarioTables], method: str) -> dict[str, float]:
+    """The observed orders of position in float64, by scenario, where there is one."""
+    table = pl.concat([t.orders for t in tables]).filter(
+        (pl.col("method") == method)
+        & (pl.col("precision") == "float64")
+        & (pl.col("quantity") == "position")
+        & pl.col("order").is_finite()
+    )
+    return dict(zip(table["scenario"], table["order"], strict=True))
+
+
+def _order_of(method: str, tables: Sequence[ScenarioTables]) -> str:
+    found = _orders(tables, method)
+    return f"is of order {statistics.median(found.values()):.2f}" if found else "shows no order"

@@ -1,0 +1,30 @@
+"""The one place where JAX's global state is touched.
+
+Truth is computed in float64 and UMBRA's own runs in float32, side by side. Both run inside
+:func:`float64_allowed`, a context that leaves the caller's settings as they were: importing or using
+this package from Python changes no default of JAX. Only the command line, which owns its process,
+calls :func:`keep_compiled_code`.
+"""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from typing import Any
+
+import jax
+import platformdirs
+
+
+def float64_allowed() -> AbstractContextManager[None]:
+    """A context in which float64 arrays stay float64; float32 arrays stay float32."""
+    return jax.enable_x64(True)
+
+
+def keep_compiled_code() -> None:
+    """Keep compiled code between runs, in the user's cache folder, unless JAX was told where."""
+    config: Any = jax.config
+    if config.jax_compilation_cache_dir is None:
+        folder = platformdirs.user_cache_dir("umbra-bench", "umbra-bench")
+        config.update("jax_compilation_cache_dir", folder)
+        config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        config.update("jax_persistent_cache_min_entry_size_bytes", -1)

@@ -1,0 +1,327 @@
+"""Results to pictures: each figure answers one question, drawn from the tables alone.
+
+One colour, one line and one marker a method, everywhere; the colours are those of Okabe and Ito,
+which colour-blind readers can tell apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+import polars as pl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from umbra_bench.methods import METHODS
+from umbra_bench.metrics import FLOOR_FACTOR
+
+
+class Look(NamedTuple):
+    """How a method is drawn."""
+
+    colour: str
+    line: Any
+    marker: str
+
+
+LOOKS: dict[str, Look] = {
+    "explicit-euler": Look("#D55E00", "-", "v"),
+    "semi-implicit-euler": Look("#E69F00", "-", "s"),
+    "velocity-verlet": Look("#009E73", "-", "D"),
+    "rk4": Look("#56B4E9", "-", "^"),
+    "yoshida4": Look("#CC79A7", "-", "P"),
+    "umbra": Look("#000000", (0, (4, 1.5)), "o"),
+    "umbra-repaired": Look("#0072B2", (0, (4, 1.5)), "X"),
+    "pymunk": Look("#8C5A2B", (0, (1, 1)), "<"),
+    "pymunk-velocity-func": Look("#777777", (0, (1, 1)), ">"),
+    "pymunk-spring": Look("#AAAAAA", (0, (3, 1, 1, 1)), "*"),
+}
+_UNKNOWN = Look("#444444", (0, (5, 1, 1, 1, 1, 1)), "h")
+
+PRECISIONS = ("float64", "float32")
+CLIP = 1e6
+"""A log axis of errors ends here: what is beyond has diverged."""
+
+
+@dataclass(frozen=True)
+class ScenarioTables:
+    """Everything in the results that belongs to one scenario."""
+
+    scenario: dict[str, Any]
+    runs: pl.DataFrame
+    orders: pl.DataFrame
+    reference: dict[str, Any]
+    motion: pl.DataFrame
+    energy: pl.DataFrame
+
+    @property
+    def methods(self) -> list[str]:
+        """The methods that were run, in the order of the table of methods."""
+        found = set(self.runs["method"])
+        return [name for name in METHODS if name in found] + sorted(found - set(METHODS))
+
+    @property
+    def default_step(self) -> float:
+        """The step at which motion and energy over time are kept, s."""
+        return float(self.motion["dt"][0])
+
+
+def draw_error(tables: ScenarioTables) -> Figure:
+    """How does the position error shrink with the step?"""
+    with _styled():
+        figure, panels = _panels("largest position error (m)")
+        for axes, precision in zip(panels, PRECISIONS, strict=True):
+            _plot_against_dt(axes, tables, precision, "position_error_max")
+        floor = FLOOR_FACTOR * tables.reference["position_bound"]
+        _finish_log_panels(panels, floor, "floor of the reference")
+        for axes in panels:
+            _slope_guides(axes)
+        _legend(figure, tables, "position")
+    return figure
+
+
+def draw_energy(tables: ScenarioTables) -> Figure:
+    """How does the largest energy error shrink with the step?"""
+    with _styled():
+        figure, panels = _panels("largest energy error / energy scale")
+        for axes, precision in zip(panels, PRECISIONS, strict=True):
+            _plot_against_dt(axes, tables, precision, "energy_error_max")
+        floor = FLOOR_FACTOR * tables.reference["energy_bound"]
+        _finish_log_panels(panels, floor, "floor of the reference")
+        for axes in panels:
+            _slope_guides(axes)
+        _legend(figure, tables, "energy")
+    return figure
+
+
+def draw_energy_over_time(tables: ScenarioTables) -> Figure:
+    """At the default step, does the energy error stay bounded, drift or grow?"""
+    with _styled():
+        figure, panels = _panels("|energy error| / energy scale", "time (s)")
+        for axes, precision in zip(panels, PRECISIONS, strict=True):
+            axes.set_yscale("log")
+            axes.set_title(f"{precision}, dt = {tables.default_step:g} s", loc="left")
+            for method in tables.methods:
+                series = _line(tables.energy, method, precision).sort("t")
+                if series.is_empty():
+                    continue
+                with np.errstate(all="ignore"):
+                    size = np.fmax(
+                        abs(series["lowest"].to_numpy()), abs(series["highest"].to_numpy())
+                    )
+                size = np.where(np.isfinite(size) & (size < CLIP) & (size > 0), size, np.nan)
+                look = LOOKS.get(method, _UNKNOWN)
+                axes.plot(series["t"], size, color=look.colour, linestyle=look.line, lw=1.0)
+        _finish_log_panels(
+            panels, FLOOR_FACTOR * tables.reference["energy_bound"], "floor of the reference"
+        )
+        _legend(figure, tables, None)
+    return figure
+
+
+def draw_motion(tables: ScenarioTables) -> Figure:
+    """What does the motion look like at the default step, and who leaves it?"""
+    picture = _PICTURES[tables.scenario["family"]]
+    with _styled():
+        figure = Figure(figsize=(7.2, 3.9))
+        FigureCanvasAgg(figure)
+        axes = figure.add_axes((0.09, 0.13, 0.54, 0.78))
+        body = tables.scenario["bodies"][0]["name"]
+        truth = _line(tables.motion, "reference", "float64").filter(pl.col("body") == body)
+        x, y = picture.curve(truth)
+        axes.plot(x, y, color="#cfcfcf", lw=5, solid_capstyle="round", label="Reference", zorder=1)
+        for method in tables.methods:
+            path = _line(tables.motion, method, "float64").filter(pl.col("body") == body)
+            look = LOOKS.get(method, _UNKNOWN)
+            mx, my = picture.curve(path)
+            axes.plot(mx, my, color=look.colour, linestyle=look.line, lw=0.9, label=_title(method))
+        axes.set_xlabel(picture.x_label)
+        axes.set_ylabel(picture.y_label)
+        axes.set_title(f"{body}, float64, dt = {tables.default_step:g} s", loc="left")
+        _limit(axes.set_xlim, x)
+        _limit(axes.set_ylim, y)
+        if picture.equal:
+            axes.set_aspect("equal", adjustable="box")
+        figure.legend(
+            *axes.get_legend_handles_labels(), loc="center left", bbox_to_anchor=(0.65, 0.5)
+        )
+    return figure
+
+
+class Picture(NamedTuple):
+    """Which two quantities show a motion of one family."""
+
+    curve: Callable[[pl.DataFrame], tuple[np.ndarray, np.ndarray]]
+    x_label: str
+    y_label: str
+    equal: bool = False
+
+
+def _columns(x: str, y: str) -> Callable[[pl.DataFrame], tuple[np.ndarray, np.ndarray]]:
+    def curve(table: pl.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+        values = table[y].to_numpy()
+        if y == "angle":
+            with np.errstate(all="ignore"):
+                values = np.unwrap(values)
+        return _drawable(table[x].to_numpy()), _drawable(values)
+
+    return curve
+
+
+def _drawable(values: np.ndarray) -> np.ndarray:
+    """Without what no canvas holds: a diverged curve ends."""
+    with np.errstate(all="ignore"):
+        return np.where(np.abs(values) < 1e9, values, np.nan)
+
+
+_PICTURES: dict[str, Picture] = {
+    "spring": Picture(_columns("x", "vx"), "x (m)", "velocity in x (m/s)"),
+    "orbit": Picture(_columns("x", "y"), "x (m)", "y (m)", equal=True),
+    "free_fall": Picture(_columns("t", "y"), "time (s)", "height (m)"),
+    "rotation": Picture(_columns("t", "angle"), "time (s)", "angle (rad)"),
+}
+
+
+# Parts of figures ---------------------------------------------------------------------------------
+
+
+@contextmanager
+def _styled() -> Iterator[None]:
+    style = resources.files("umbra_bench") / "report.mplstyle"
+    with resources.as_file(style) as path, mpl.rc_context(fname=str(path)):
+        yield
+
+
+def _panels(y_label: str, x_label: str = "step dt (s)") -> tuple[Figure, list[Axes]]:
+    """Two panels, float64 and float32, with one y axis and room for a legend on the right."""
+    figure = Figure(figsize=(9.2, 3.7))
+    FigureCanvasAgg(figure)
+    left = figure.add_axes((0.075, 0.14, 0.315, 0.77))
+    right = figure.add_axes((0.405, 0.14, 0.315, 0.77), sharey=left)
+    right.tick_params(labelleft=False)
+    left.set_ylabel(y_label)
+    for axes in (left, right):
+        axes.set_xlabel(x_label)
+    return figure, [left, right]
+
+
+def _plot_against_dt(axes: Axes, tables: ScenarioTables, precision: str, column: str) -> None:
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_title(precision, loc="left")
+    for method in tables.methods:
+        line = _line(tables.runs, method, precision).sort("dt")
+        good = line.filter(
+            pl.col(column).is_finite() & (pl.col(column) > 0) & (pl.col(column) < CLIP)
+        )
+        if good.is_empty():
+            continue
+        look = LOOKS.get(method, _UNKNOWN)
+        axes.plot(
+            good["dt"], good[column], color=look.colour, linestyle=look.line, marker=look.marker
+        )
+
+
+def _finish_log_panels(panels: list[Axes], floor: float, label: str) -> None:
+    """Limits that show all data, the reference's floor shaded, and sensible ticks."""
+    values = np.concatenate(
+        [np.asarray(line.get_ydata(), float) for axes in panels for line in axes.get_lines()]
+        or [np.array([1.0])]
+    )
+    values = values[np.isfinite(values) & (values > 0)]
+    low = min(values.min(initial=1.0), floor) / 30
+    high = min(values.max(initial=floor), CLIP) * 3
+    for axes in panels:
+        axes.set_ylim(low, high)
+        axes.axhspan(low, floor, color="#efefef", zorder=0)
+        decades = math.log10(high / low)
+        axes.yaxis.set_major_locator(LogLocator(numticks=8 if decades > 8 else 12))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    panels[0].text(
+        0.02,
+        floor / 2,
+        label,
+        transform=panels[0].get_yaxis_transform(),
+        fontsize=7,
+        va="top",
+        color="#777777",
+    )
+
+
+def _slope_guides(axes: Axes) -> None:
+    """Short lines of slope 1, 2 and 4, labelled, in the lower right corner."""
+    low, high = axes.get_ylim()
+    left, right = axes.get_xlim()
+    end = 10 ** (math.log10(right) - 0.03 * math.log10(right / left))
+    begin = end / 4
+    base = low * (high / low) ** 0.04
+    for slope in (1, 2, 4):
+        top = base * 4**slope
+        if top < high:
+            axes.plot([begin, end], [base, top], color="#999999", lw=0.7, zorder=1.5)
+            axes.annotate(
+                f"{slope}",
+                (end, top),
+                fontsize=7,
+                color="#777777",
+                va="center",
+                xytext=(2, 0),
+                textcoords="offset points",
+                annotation_clip=False,
+            )
+    axes.set_xlim(left, right)
+
+
+def _legend(figure: Figure, tables: ScenarioTables, quantity: str | None) -> None:
+    """All methods, with their observed order in float64 where a quantity is given."""
+    handles, labels = [], []
+    for method in tables.methods:
+        look = LOOKS.get(method, _UNKNOWN)
+        style = {"color": look.colour, "linestyle": look.line}
+        handles.append(mpl.lines.Line2D([], [], marker=look.marker if quantity else "", **style))
+        labels.append(_title(method) + (_order(tables, method, quantity) if quantity else ""))
+    title = "method (observed order, float64)" if quantity else None
+    figure.legend(
+        handles,
+        labels,
+        loc="center left",
+        bbox_to_anchor=(0.735, 0.53),
+        title=title,
+        title_fontsize=8,
+        alignment="left",
+    )
+
+
+def _order(tables: ScenarioTables, method: str, quantity: str) -> str:
+    row = tables.orders.filter(
+        (pl.col("method") == method)
+        & (pl.col("precision") == "float64")
+        & (pl.col("quantity") == quantity)
+    )
+    if row.is_empty() or not math.isfinite(row["order"][0]):
+        return " (none)"
+    return f" ({row['order'][0]:.2f})"
+
+
+def _title(method: str) -> str:
+    return METHODS[method].title if method in METHODS else method
+
+
+def _line(table: pl.DataFrame, method: str, precision: str) -> pl.DataFrame:
+    return table.filter((pl.col("method") == method) & (pl.col("precision") == precision))
+
+
+def _limit(setter: Callable[[float, float], Any], values: np.ndarray) -> None:
+    """Show the truth and a margin; what flies off is cut."""
+    low, high = np.nanmin(values), np.nanmax(values)
+    margin = 0.35 * (high - low) or 1.0
+    setter(low - margin, high + margin)

@@ -1,0 +1,157 @@
+"""Results to pages: figures, tables and findings, drawn from the tables on disk alone."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import shutil
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import polars as pl
+
+from umbra_bench import findings, plots
+from umbra_bench.plots import ScenarioTables
+from umbra_bench.results import described, load_json, load_table, replacing
+from umbra_bench.study import Study
+
+FIGURES: dict[str, tuple[str, Callable[[ScenarioTables], Any]]] = {
+    "error": ("Error against step size", plots.draw_error),
+    "energy-time": ("Energy error over time", plots.draw_energy_over_time),
+    "energy": ("Largest energy error against step size", plots.draw_energy),
+    "motion": ("The motion", plots.draw_motion),
+}
+
+Listener = Callable[[str, int, int], None]
+
+
+def write_report(
+    results: Path, output: Path, listener: Listener = lambda what, done, total: None
+) -> Path:
+    """Draw all figures and write the page; return its path.
+
+    Raises:
+        UmbraBenchError: results that are missing or cannot be read; a folder that cannot be written.
+    """
+    tables = load_scenario_tables(results)
+    folder = output / "figures"
+    shutil.rmtree(folder, ignore_errors=True)
+    jobs = [(t, name, folder) for t in tables for name in FIGURES]
+    # Drawing holds the interpreter: processes use all cores, and a fresh start is safe with JAX.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(os.cpu_count(), mp_context=context) as pool:
+        for done, path in enumerate(pool.map(_draw, jobs), start=1):
+            listener(path.name, done, len(jobs))
+    page = output / "index.md"
+    text = render_page(tables, results)
+    with replacing(page) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return page
+
+
+def load_scenario_tables(results: Path) -> list[ScenarioTables]:
+    """The tables of a study on disk, one bundle a scenario."""
+    return _bundles(
+        load_table("study", results),
+        load_table("orders", results),
+        load_table("references", results),
+        load_table("motion", results),
+        load_table("energy", results),
+        load_json(results / "scenarios.json"),
+    )
+
+
+def tables_of(study: Study) -> list[ScenarioTables]:
+    """The tables of a study in memory, one bundle a scenario."""
+    return _bundles(
+        study.runs,
+        study.orders,
+        study.references,
+        study.motion,
+        study.energy,
+        described(study.scenarios),
+    )
+
+
+def _bundles(
+    runs: pl.DataFrame,
+    orders: pl.DataFrame,
+    references: pl.DataFrame,
+    motion: pl.DataFrame,
+    energy: pl.DataFrame,
+    scenarios: dict[str, Any],
+) -> list[ScenarioTables]:
+    return [
+        ScenarioTables(
+            scenario=scenarios[reference["scenario"]],
+            reference=reference,
+            **{
+                name: table.filter(pl.col("scenario") == reference["scenario"])
+                for name, table in zip(
+                    ("runs", "orders", "motion", "energy"),
+                    (runs, orders, motion, energy),
+                    strict=True,
+                )
+            },
+        )
+        for reference in references.to_dicts()
+    ]
+
+
+def render_page(tables: list[ScenarioTables], results: Path) -> str:
+    """The page in Markdown."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("umbra_bench", "templates"),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+        autoescape=False,  # noqa: S701  # Markdown: the filter `text` escapes what a scenario's author wrote
+    )
+    environment.filters.update(text=markdown_text, number=number)
+    return environment.get_template("index.md.j2").render(
+        findings=findings.paragraph(tables),
+        scenarios=[
+            {
+                "tables": t,
+                "figures": [
+                    {
+                        "file": f"figures/{t.scenario['name']}-{name}",
+                        "title": title,
+                        "caption": findings.caption(name, t),
+                    }
+                    for name, (title, _) in FIGURES.items()
+                ],
+            }
+            for t in tables
+        ],
+        orders=findings.order_table(tables),
+        drifts=findings.drift_table(tables),
+        references=[t.reference for t in tables],
+        skips=load_table("skips", results).to_dicts(),
+        environment=load_json(results / "environment.json"),
+    )
+
+
+def markdown_text(text: str) -> str:
+    """Text that shows as it was written, whatever markup it holds."""
+    for character in "\\`*_{}[]<>()#+-.!|&":
+        text = text.replace(character, f"\\{character}")
+    return " ".join(text.split())
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """A number for people: three figures where they say enough, powers of ten elsewhere."""
+    return findings.number(value, digits)
+
+
+def _draw(job: tuple[ScenarioTables, str, Path]) -> Path:
+    tables, name, folder = job
+    figure = FIGURES[name][1](tables)
+    path = folder / f"{tables.scenario['name']}-{name}"
+    for ending, metadata in (("svg", {"Date": None}), ("png", {})):
+        with replacing(path.with_suffix(f".{ending}")) as temporary:
+            figure.savefig(temporary, format=ending, metadata=metadata)
+    return path
