@@ -8,7 +8,7 @@ READY := $(VENV)/.ready
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup report study gate claims test check bench clean
+.PHONY: help setup report study gate claims showcase test check bench clean
 
 help:  ## list the targets
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z]+:.*## / {printf "  %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -29,8 +29,12 @@ study: $(READY)  ## sweep all methods over all scenarios into results/
 report: study  ## run the study and write reports/index.md with its figures
 	$(BIN)/umbra-bench report
 
+showcase: report  ## renew the figures that the README shows
+	mkdir -p reports/showcase
+	cp reports/figures/spring-error.png reports/figures/spring-energy-time.png reports/showcase/
+
 gate: $(READY)  ## judge the integrators against results/baseline.json
-	@echo "umbra-bench: the gate is not built yet" >&2; exit 2
+	$(BIN)/umbra-bench gate
 
 claims: $(READY)  ## measure the devlog's statements
 	@echo "umbra-bench: the claims are not built yet" >&2; exit 2

@@ -115,6 +115,40 @@ def report(results: Path, output: Path) -> None:
     click.echo(f"{page}")
 
 
+@cli.command()
+@click.option("--update", is_flag=True, help="Rewrite the baseline and tell what changed.")
+@click.option(
+    "--baseline",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default="results/baseline.json",
+    show_default=True,
+)
+@click.option("--results", type=_FOLDER, default="results", show_default=True)
+@click.option("--self-test", is_flag=True, help="Break the integrators on purpose, one at a time.")
+def gate(update: bool, baseline: Path, results: Path, self_test: bool) -> int:
+    """Judge the integrators against a committed baseline: exit 0 good, 1 worse, 2 not judged."""
+    _prepare()
+    from umbra_bench import gate as judge
+    from umbra_bench import gate_output
+
+    if self_test:
+        from umbra_bench.self_test import print_self_test
+
+        return print_self_test()
+    known = None if update and not baseline.is_file() else judge.load_baseline(baseline)
+    lines = judge.planned_lines(judge.budgeted_scenarios())
+    with _progress("Gate") as listener:
+        measured = judge.measure_lines(lines, listener)
+    judgements = judge.judge(measured, known) if known is not None else []
+    gate_output.print_table(judgements)
+    if update:
+        judge.save_baseline(measured, baseline)
+        click.echo(f"{baseline}: written, {len(measured.cells)} cells")
+        return 0
+    gate_output.write_outputs(judgements, results)
+    return judge.exit_code(judgements)
+
+
 @cli.command(name="list")
 @click.argument("what", type=click.Choice(["scenarios", "methods", "forces"]))
 @click.option("--json", "as_json", is_flag=True, help="For programs.")

@@ -214,28 +214,35 @@ def _normal_modes(scenario: Scenario, times: np.ndarray) -> Solution:
                     i = names.index(force.body)
                     stiffness[i, i] += force.stiffness
                     load[i] += force.stiffness * force.rest_angle
-        mass = np.array([_inertia(b) if row == 2 else b.mass for b in scenario.bodies])[moving]
-        mass = np.where(mass > 0.0, mass, np.inf)  # an inertia of 0 means: never turns
+        mass = np.array([_inertia(b) if row == 2 else b.mass for b in scenario.bodies])
+        # An inertia of 0 means that no torque turns the body: it keeps its spin.
+        swinging = [i for i in moving if mass[i] > 0.0]
+        for i in set(moving) - set(swinging):
+            position[:, row, i], velocity[:, row, i] = _free_motion(
+                start[i, 0, row], start[i, 1, row], 0.0, rates[row == 2], times
+            )
+        if not swinging:
+            continue
         if row < 2:
-            pulled = np.array([b.affected_by_gravity for b in scenario.bodies])[moving]
-            load[moving] += mass * scenario.gravity[row] * pulled
+            pulled = np.array([b.affected_by_gravity for b in scenario.bodies])
+            load = load + mass * scenario.gravity[row] * pulled
         fixed = np.setdiff1d(np.arange(len(names)), moving)
         load = load - stiffness[:, fixed] @ start[fixed, 0, row]
-        root = np.sqrt(mass)
-        squares, modes = np.linalg.eigh(stiffness[np.ix_(moving, moving)] / np.outer(root, root))
-        amplitude = modes.T @ (root * start[moving, 0, row]) if np.all(mass < np.inf) else None
-        if amplitude is None:  # angles of bodies that never turn
-            continue
-        pace = modes.T @ (root * start[moving, 1, row])
-        push = modes.T @ (load[moving] / root)
-        q, dq = np.empty((len(times), len(moving))), np.empty((len(times), len(moving)))
+        root = np.sqrt(mass[swinging])
+        squares, modes = np.linalg.eigh(
+            stiffness[np.ix_(swinging, swinging)] / np.outer(root, root)
+        )
+        amplitude = modes.T @ (root * start[swinging, 0, row])
+        pace = modes.T @ (root * start[swinging, 1, row])
+        push = modes.T @ (load[swinging] / root)
+        q, dq = np.empty((len(times), len(root))), np.empty((len(times), len(root)))
         negligible = 1e-12 * max(squares.max(), 0.0)
         for k, square in enumerate(squares):
             q[:, k], dq[:, k] = _mode(
                 amplitude[k], pace[k], push[k], rates[row == 2], square, negligible, times
             )
-        position[:, row, moving] = q @ modes.T / root
-        velocity[:, row, moving] = dq @ modes.T / root
+        position[:, row, swinging] = q @ modes.T / root
+        velocity[:, row, swinging] = dq @ modes.T / root
     return position, velocity
 
 
@@ -247,12 +254,18 @@ def _mode(
         return _free_motion(q0, v0, push, rate, t)
     rest = push / square
     swing, half = q0 - rest, rate / 2
-    s = np.emath.sqrt(half**2 - square)  # imaginary below critical damping
-    decay = np.exp(-half * t)
-    cosh = np.cosh(s * t).real
-    sinh_over_s = (np.sinh(s * t) / s).real if s != 0 else t
-    q = decay * (swing * cosh + (v0 + half * swing) * sinh_over_s)
-    v = decay * (v0 * cosh - (half * v0 + square * swing) * sinh_over_s)
+    inside = half**2 - square
+    # decay cosh(s t) and decay sinh(s t)/s, with decay = exp(-half t), free of overflow.
+    if inside > 0.0:
+        s = math.sqrt(inside)
+        slow, fast = np.exp(-square / (half + s) * t), np.exp(-(half + s) * t)
+        cosh, sinh_over_s = (slow + fast) / 2, -slow * np.expm1(-2 * s * t) / (2 * s)
+    else:
+        s = math.sqrt(-inside)
+        decay = np.exp(-half * t)
+        cosh, sinh_over_s = decay * np.cos(s * t), decay * (np.sin(s * t) / s if s else t)
+    q = swing * cosh + (v0 + half * swing) * sinh_over_s
+    v = v0 * cosh - (half * v0 + square * swing) * sinh_over_s
     return rest + q, v
 
 

@@ -19,12 +19,14 @@ class Method:
     """One thing that is measured.
 
     `precision` is the precision that an engine keeps for itself, or None where the caller chooses.
+    `studied` is false for what a study runs only when it is named.
     """
 
     name: str
     title: str
     kind: Kind
     precision: str | None = None
+    studied: bool = True
 
 
 METHODS: dict[str, Method] = {
@@ -37,10 +39,11 @@ METHODS: dict[str, Method] = {
         Method("yoshida4", "Yoshida 4", "integrator"),
         Method("umbra", "UMBRA, as published", "umbra"),
         Method("umbra-repaired", "UMBRA, repaired", "umbra"),
+        Method("umbra-service", "UMBRA, as a game calls it", "engine", "float32", studied=False),
         Method("pymunk", "pymunk, force before step", "engine", "float64"),
         Method("pymunk-velocity-func", "pymunk, force in callback", "engine", "float64"),
         Method("pymunk-spring", "pymunk, its own spring", "engine", "float64"),
-        Method("reference", "Reference (Dopri8)", "reference", "float64"),
+        Method("reference", "Reference (Dopri8)", "reference", "float64", studied=False),
     )
 }
 

@@ -119,8 +119,13 @@ def draw_energy_over_time(tables: ScenarioTables) -> Figure:
                         abs(series["lowest"].to_numpy()), abs(series["highest"].to_numpy())
                     )
                 size = np.where(np.isfinite(size) & (size < CLIP) & (size > 0), size, np.nan)
+                axes.set_xlim(0.0, series["t"][-1])
+                if np.isnan(size).all():
+                    continue
                 look = LOOKS.get(method, _UNKNOWN)
                 axes.plot(series["t"], size, color=look.colour, linestyle=look.line, lw=1.0)
+            if not axes.get_lines():
+                _say(axes, "no method shows any energy error")
         _finish_log_panels(
             panels, FLOOR_FACTOR * tables.reference["energy_bound"], "floor of the reference"
         )
@@ -134,7 +139,7 @@ def draw_motion(tables: ScenarioTables) -> Figure:
     with _styled():
         figure = Figure(figsize=(7.2, 3.9))
         FigureCanvasAgg(figure)
-        axes = figure.add_axes((0.09, 0.13, 0.54, 0.78))
+        axes = figure.add_axes((0.105, 0.13, 0.525, 0.78))
         body = tables.scenario["bodies"][0]["name"]
         truth = _line(tables.motion, "reference", "float64").filter(pl.col("body") == body)
         x, y = picture.curve(truth)
@@ -147,7 +152,10 @@ def draw_motion(tables: ScenarioTables) -> Figure:
         axes.set_xlabel(picture.x_label)
         axes.set_ylabel(picture.y_label)
         axes.set_title(f"{body}, float64, dt = {tables.default_step:g} s", loc="left")
-        _limit(axes.set_xlim, x)
+        if picture.x_label.startswith("time"):
+            axes.set_xlim(x[0], x[-1])
+        else:
+            _limit(axes.set_xlim, x)
         _limit(axes.set_ylim, y)
         if picture.equal:
             axes.set_aspect("equal", adjustable="box")
@@ -205,8 +213,8 @@ def _panels(y_label: str, x_label: str = "step dt (s)") -> tuple[Figure, list[Ax
     """Two panels, float64 and float32, with one y axis and room for a legend on the right."""
     figure = Figure(figsize=(9.2, 3.7))
     FigureCanvasAgg(figure)
-    left = figure.add_axes((0.075, 0.14, 0.315, 0.77))
-    right = figure.add_axes((0.405, 0.14, 0.315, 0.77), sharey=left)
+    left = figure.add_axes((0.075, 0.14, 0.31, 0.77))
+    right = figure.add_axes((0.412, 0.14, 0.31, 0.77), sharey=left)
     right.tick_params(labelleft=False)
     left.set_ylabel(y_label)
     for axes in (left, right):
@@ -229,6 +237,10 @@ def _plot_against_dt(axes: Axes, tables: ScenarioTables, precision: str, column:
         axes.plot(
             good["dt"], good[column], color=look.colour, linestyle=look.line, marker=look.marker
         )
+
+
+def _say(axes: Axes, text: str) -> None:
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", color="#777777")
 
 
 def _finish_log_panels(panels: list[Axes], floor: float, label: str) -> None:

@@ -122,7 +122,7 @@ def solve_reference(
         )
         if not complete:
             raise UmbraBenchError(
-                f"scenario {scenario.name}: the reference did not reach t = {times[-1]!r} s; "
+                f"scenario {scenario.name}: the reference did not reach t = {float(times[-1])!r} s; "
                 "allowed are motions without collisions or singularities"
             )
         solution = np.asarray(scaled) * unit
@@ -180,7 +180,11 @@ def _units(position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
 
 
 def solve_dop853(scenario: Scenario, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The independent solution: another method, another library, NumPy instead of JAX."""
+    """The independent solution: another method, another library, NumPy instead of JAX.
+
+    Raises:
+        UmbraBenchError: the solver did not reach the end.
+    """
     system, start = build_system(scenario), initial_state(scenario)
     unit = _units(start.position, start.velocity)
     shape = (2, *start.position.shape)
@@ -197,6 +201,8 @@ def solve_dop853(scenario: Scenario, times: np.ndarray) -> tuple[np.ndarray, np.
         rtol=DOP853_TOLERANCE,
         atol=DOP853_TOLERANCE,
     )
+    if not solution.success:
+        raise UmbraBenchError(f"scenario {scenario.name}: DOP853 failed: {solution.message}")
     states = solution.y.T.reshape(-1, *shape) * unit
     return states[:, 0], states[:, 1]
 

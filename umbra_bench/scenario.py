@@ -79,7 +79,7 @@ class Body(_Table):
         description='{ kind = "box", width = W, height = H } or { kind = "circle", radius = R }',
     )
     inertia: Number | None = Field(
-        default=None, ge=0.0, description=_NOT_NEGATIVE + ", in kg m^2; 0 = never turns"
+        default=None, ge=0.0, description=_NOT_NEGATIVE + ", in kg m^2; 0 = no torque turns it"
     )
     position: Vector = Field(description=_VECTOR + ", in m")
     angle: Number = Field(default=0.0, description=_NUMBER + ", in rad")

@@ -128,7 +128,7 @@ def simulate(
         UmbraBenchError: as :func:`open_run`, or steps that `every` does not divide.
     """
     steps = whole_steps(scenario, dt) if steps is None else steps
-    if steps % every:
+    if every < 1 or steps % every:
         raise UmbraBenchError(f"every = {every}: must divide the {steps} steps of the run")
     run = open_run(scenario, method, dt, precision, energy_limit)
     samples = steps // every

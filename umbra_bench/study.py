@@ -136,7 +136,7 @@ def run_study(
 
     Args:
         scenarios: from :func:`umbra_bench.load_scenario`.
-        methods: names; none means all but the reference.
+        methods: names; none means all that a study runs unasked.
         precisions: of this project's integrators; an engine has its own.
         quick: only the first few steps of each sweep.
         listener: told of every finished part.
@@ -144,7 +144,7 @@ def run_study(
     Raises:
         UmbraBenchError: an unknown method, or a scenario whose reference cannot be had.
     """
-    names = list(methods) or [name for name, m in METHODS.items() if m.kind != "reference"]
+    names = list(methods) or [name for name, method in METHODS.items() if method.studied]
     for name in names:
         if find_method(name).kind == "reference":
             raise UmbraBenchError(

@@ -19,7 +19,13 @@ CHUNK = 1024
 
 
 class Engine(Protocol):
-    """A foreign engine with the bodies of one scenario in it. Arrays have shape (3, N), SI units."""
+    """A foreign engine with the bodies of one scenario in it. Arrays have shape (3, N), SI units.
+
+    An engine that says `damps_itself` applies the scenario's exponential damping in its own step;
+    for all others the harness does.
+    """
+
+    damps_itself: bool
 
     def step(self, dt: float, position: np.ndarray, velocity: np.ndarray) -> None:
         """Advance by one step from the state given, with forces applied in this engine's mode."""
@@ -45,13 +51,17 @@ def open_engine(method: str, scenario: Scenario) -> Engine:
         from umbra_bench.engines.pymunk import MODES
 
         return MODES[method](scenario)
+    if method == "umbra-service":
+        from umbra_bench.engines.umbra_service import UmbraService
+
+        return UmbraService(scenario)
     raise UmbraBenchError(f"--method {method!r}: there is no engine of that name")
 
 
 class EngineRun:
     """An engine at work on one scenario: the counterpart of a compiled run, with the same recording.
 
-    Exponential damping is the harness's own, after each step, for every engine alike: what is
+    Exponential damping is the harness's own, after each step, for every foreign engine alike: what is
     measured is the engine's integrator.
     """
 
@@ -93,7 +103,7 @@ class EngineRun:
         """Take steps and return the states before each of them, shape (count, 3, N)."""
         shape = (count, *self._position.shape)
         position, velocity = np.empty(shape), np.empty(shape)
-        damping = self._system.bodies.damping
+        damping = None if self._engine.damps_itself else self._system.bodies.damping
         for n in range(count):
             position[n], velocity[n] = self._position, self._velocity
             self._engine.step(self._dt, self._position, self._velocity)

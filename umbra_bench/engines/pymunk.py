@@ -36,6 +36,8 @@ from umbra_bench.umbra.bodies import BodyDefinition
 class _Pymunk:
     """A pymunk space with the bodies of a scenario."""
 
+    damps_itself = False
+
     def __init__(self, scenario: Scenario) -> None:
         self.force = compiled_force(scenario)
         self.space = pymunk.Space()

@@ -34,7 +34,7 @@ class BodyDefinition:
 
     Args:
         mass: kg; 0 makes the body static.
-        inertia: kg m^2; 0 means that it never turns. When absent it follows from the shape, and
+        inertia: kg m^2; 0 means that no torque turns it. When absent it follows from the shape, and
             without a shape it is 1.0 x mass.
         box: width and height, m. disk_radius: m. At most one of the two.
         position, velocity: m, m/s. angle, angular_velocity: rad, rad/s.
@@ -76,8 +76,9 @@ class BodyDefinition:
         for name in ("linear_damping", "angular_damping"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: expected a number in (0, 1]")
-        if self.is_static and (any(self.velocity) or self.angular_velocity):
-            raise ValueError(f"velocity = {self.velocity!r}: a static body does not move")
+        for name in ("velocity", "angular_velocity"):
+            if self.is_static and np.any(getattr(self, name)):
+                raise ValueError(f"{name} = {getattr(self, name)!r}: a static body does not move")
 
     @property
     def is_static(self) -> bool:

@@ -130,19 +130,26 @@ class PhysicsService:
         return self._collected
 
     def _handle(self, body: int) -> int:
-        if not isinstance(body, int) or not 0 <= body < len(self._definitions):
-            raise ValueError(
-                f"body = {body!r}: unknown handle; {len(self._definitions)} bodies exist"
-            )
-        return body
+        count = len(self._definitions)
+        if not isinstance(body, (int, np.integer)) or not 0 <= body < count:
+            raise ValueError(f"body = {body!r}: unknown handle; {count} bodies exist")
+        return int(body)
 
     def _accumulate(self, body: int, force: tuple[float, float, float]) -> None:
-        self._state.force[:, self._handle(body)] += np.array(force, self._dtype)
+        self._state.force[:, self._handle(body)] += self._represented("force", force)
 
     def _kick(self, body: int, impulse: tuple[float, float, float]) -> None:
         handle = self._handle(body)
-        change = np.array(impulse, self._dtype) * self._bodies.inverse_mass[:, handle]
+        change = self._represented("impulse", impulse) * self._bodies.inverse_mass[:, handle]
         self._state.velocity[:, handle] += change
+
+    def _represented(self, name: str, values: tuple[float, float, float]) -> np.ndarray:
+        """The values in the precision of the engine, which must hold them."""
+        with np.errstate(over="ignore"):
+            array = np.array(values, self._dtype)
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name} = {values!r}: beyond the engine's {np.dtype(self._dtype)}")
+        return array
 
     def _moment(self, body: int, force: Vector, point: Vector) -> float:
         """r x F, with r from the centre of mass to the point."""

@@ -1,0 +1,382 @@
+"""Integrator faults as small changes of the source, each with the place where its like shipped.
+
+`lines` are the lines of the gate that are expected to notice; the whole gate runs them all.
+"""
+
+from __future__ import annotations
+
+from umbra_bench.self_test import Change
+
+UMBRA = ("spring/umbra/float64",)
+REPAIRED = ("spring/umbra-repaired/float64",)
+VERLET = ("spring/velocity-verlet/float64",)
+RK4 = ("spring/rk4/float64",)
+DAMPED = ("spring_damped/umbra/float64",)
+CRANE = ("crane/umbra/float64",)
+SERVICE = ("crane/umbra-service/float32",)
+PIPELINE = "umbra.pipeline"
+
+FAULTS = (
+    # The twelve that shipped elsewhere.
+    Change(
+        "the 1 and the 1/2 of velocity Verlet swapped",
+        "headmyshoulder/odeint-v2 issue 150",
+        PIPELINE,
+        "velocity * dt + acceleration * (dt * dt * 0.5)",
+        "velocity * (dt * 0.5) + acceleration * (dt * dt)",
+        UMBRA,
+    ),
+    Change(
+        "phases in the wrong order",
+        "TeamAtomECS/AtomECS pull 18",
+        "umbra.repaired",
+        "    position = integrate_velocities(position, velocity, acceleration, dt)\n"
+        "    accumulated = accumulated + force(position, velocity)\n"
+        "    velocity, acceleration = integrate_forces(\n"
+        "        velocity, acceleration, accumulated, bodies.inverse_mass, dt\n"
+        "    )\n",
+        "    accumulated = accumulated + force(position, velocity)\n"
+        "    velocity, acceleration = integrate_forces(\n"
+        "        velocity, acceleration, accumulated, bodies.inverse_mass, dt\n"
+        "    )\n"
+        "    position = integrate_velocities(position, velocity, acceleration, dt)\n",
+        REPAIRED,
+    ),
+    Change(
+        "explicit Euler in place of semi-implicit",
+        "dimforge/rapier pull 100",
+        "integrators",
+        "    v = v + system.acceleration(x, v) * dt\n    return State(x + v * dt, v)",
+        "    a = system.acceleration(x, v)\n    return State(x + v * dt, v + a * dt)",
+        ("spring/semi-implicit-euler/float64",),
+    ),
+    Change(
+        "the velocity lags the position",
+        "NVIDIA-Omniverse/PhysX issue 308",
+        "integrators",
+        "        v = kick(system, x, v, kicks[-1] * dt)\n",
+        "",
+        VERLET,
+    ),
+    Change(
+        "the first half kick not taken",
+        "fmihpc/vlasiator issue 103",
+        "umbra.repaired",
+        "    return state._replace(acceleration=acceleration)",
+        "    return state._replace(acceleration=0.0 * acceleration)",
+        REPAIRED,
+    ),
+    Change(
+        "position from the old velocity",
+        "gbionics/jaxsim pull 68",
+        PIPELINE,
+        "position = integrate_velocities(position, velocity, acceleration, dt)",
+        "position = integrate_velocities(position, state.velocity, acceleration, dt)",
+        UMBRA,
+    ),
+    Change(
+        "an RK4 stage from the wrong state",
+        "f1tenth/f1tenth_gym pull 52",
+        "integrators",
+        "slope(x + k2x * (dt / 2), v + k2v * (dt / 2))",
+        "slope(x + k1x * (dt / 2), v + k2v * (dt / 2))",
+        RK4,
+    ),
+    Change(
+        "RK4 without advancing to its stage",
+        "probabilistic-numerics/probnum issue 252",
+        "integrators",
+        "slope(x + k1x * (dt / 2), v + k1v * (dt / 2))",
+        "slope(x, v)",
+        RK4,
+    ),
+    Change(
+        "damping per step, not per second",
+        "phaserjs/phaser issue 5356",
+        PIPELINE,
+        "velocity * damping**dt",
+        "velocity * damping",
+        DAMPED,
+    ),
+    Change(
+        "forces cleared before they act",
+        "schteppe/p2.js issue 137",
+        PIPELINE,
+        "    position, velocity, acceleration, force = state\n",
+        "    position, velocity, acceleration, force = state\n    force = clear_accumulators(force)\n",
+        UMBRA,
+    ),
+    Change(
+        "a circle's inertia without the mass",
+        "godotengine/godot issue 28842",
+        "umbra.bodies",
+        "return 0.5 * mass * radius**2",
+        "return 0.5 * radius**2",
+        CRANE,
+        moves_truth=True,
+    ),
+    Change(
+        "y^2 + y^2 for x^2 + y^2",
+        "godotengine/godot pull 47284",
+        "umbra.bodies",
+        "(width**2 + height**2)",
+        "(height**2 + height**2)",
+        CRANE,
+        moves_truth=True,
+    ),
+    # Our own.
+    Change(
+        "a one for a half in the velocity",
+        "own",
+        PIPELINE,
+        "(acceleration + new_acceleration) * 0.5 * dt",
+        "(acceleration + new_acceleration) * dt",
+        UMBRA,
+    ),
+    Change(
+        "the average of one acceleration with itself",
+        "own",
+        PIPELINE,
+        "(acceleration + new_acceleration) * 0.5 * dt",
+        "(acceleration + acceleration) * 0.5 * dt",
+        UMBRA,
+    ),
+    Change(
+        "dt for dt squared",
+        "own",
+        PIPELINE,
+        "(dt * dt * 0.5)",
+        "(dt * 0.5)",
+        UMBRA,
+    ),
+    Change(
+        "a sign in the displacement",
+        "own",
+        PIPELINE,
+        "velocity * dt + acceleration",
+        "velocity * dt - acceleration",
+        UMBRA,
+    ),
+    Change(
+        "a stale acceleration",
+        "own",
+        PIPELINE,
+        "    return velocity, new_acceleration\n",
+        "    return velocity, acceleration\n",
+        REPAIRED,
+    ),
+    Change(
+        "forces never cleared",
+        "own",
+        PIPELINE,
+        "return force.__array_namespace__().zeros_like(force)",
+        "return force",
+        UMBRA,
+    ),
+    Change(
+        "damping squared",
+        "own",
+        PIPELINE,
+        "velocity * damping**dt",
+        "velocity * damping ** (2 * dt)",
+        DAMPED,
+    ),
+    Change(
+        "no damping at all",
+        "own",
+        "compiled",
+        "return State(x, apply_damping(v, system.bodies.damping, dt))",
+        "return State(x, v)",
+        ("spring_damped/rk4/float64",),
+    ),
+    Change(
+        "the angle not wrapped",
+        "own",
+        PIPELINE,
+        "return wrap_angle(position + displacement)",
+        "return position + displacement",
+        ("spinning_box/umbra/float32",),
+    ),
+    Change(
+        "gravity once for all masses",
+        "own",
+        PIPELINE,
+        "1.0 / xp.where(pulled, inverse_mass[0], 1.0)",
+        "1.0",
+        ("free_fall_damped/umbra/float64",),
+        moves_truth=True,
+    ),
+    Change(
+        "the gravity flag ignored",
+        "own",
+        PIPELINE,
+        "pulled = affected & (inverse_mass[0] > 0.0)",
+        "pulled = inverse_mass[0] > 0.0",
+        ("free_fall_damped/umbra/float64",),
+        moves_truth=True,
+    ),
+    Change(
+        "a spring's torque without the lever arm",
+        "own",
+        "forces",
+        "torque = none if arm is None else _cross(arm, pull)",
+        "torque = none",
+        CRANE,
+        moves_truth=True,
+    ),
+    Change(
+        "a force at a point without the lever arm",
+        "own",
+        "umbra.service",
+        "return float((px - x) * force[1] - (py - y) * force[0])",
+        "return 0.0",
+        SERVICE,
+    ),
+    Change(
+        "the cross product with the wrong sign",
+        "own",
+        "umbra.service",
+        "(px - x) * force[1] - (py - y) * force[0]",
+        "(px - x) * force[1] + (py - y) * force[0]",
+        SERVICE,
+    ),
+    Change(
+        "an impulse scaled by dt",
+        "own",
+        "umbra.service",
+        'self._represented("impulse", impulse) * self._bodies',
+        'self._represented("impulse", impulse) * self._dtype(0.01) * self._bodies',
+        SERVICE,
+    ),
+    Change(
+        "a torque that replaces those before it",
+        "own",
+        "umbra.service",
+        "self._state.force[:, self._handle(body)] += ",
+        "self._state.force[:, self._handle(body)] = ",
+        SERVICE,
+    ),
+    Change(
+        "float32 where float64 is due",
+        "own",
+        "compiled",
+        "self._dt = dtype(dt)",
+        "self._dt = dtype(np.float32(dt))",
+        RK4,
+    ),
+    Change(
+        "a rounded coefficient",
+        "own",
+        "integrators",
+        "2.0 ** (1.0 / 3.0)",
+        "1.26",
+        ("spring/yoshida4/float64",),
+    ),
+    Change(
+        "half kicks that are whole",
+        "own",
+        "integrators",
+        "halves = [fraction / 2 for fraction in fractions]",
+        "halves = list(fractions)",
+        VERLET,
+    ),
+    Change(
+        "weights 1 2 2 1 over 5",
+        "own",
+        "integrators",
+        "(k1x + 2 * k2x + 2 * k3x + k4x) * (dt / 6)",
+        "(k1x + 2 * k2x + 2 * k3x + k4x) * (dt / 5)",
+        RK4,
+    ),
+    Change(
+        "a spring that forgets its rest length",
+        "own",
+        "forces",
+        "tension = -self.stiffness * (1.0 - self.rest_length * inverse)",
+        "tension = -self.stiffness * xp.ones_like(inverse)",
+        CRANE,
+        moves_truth=True,
+    ),
+    Change(
+        "action without reaction",
+        "own",
+        "forces",
+        "total = total - self.other.collect",
+        "total = total + self.other.collect",
+        CRANE,
+        moves_truth=True,
+    ),
+    Change(
+        "an angle difference that is not wrapped",
+        "own",
+        "forces",
+        "return difference - TWO_PI * xp.ceil((difference - math.pi) / TWO_PI)",
+        "return difference",
+        CRANE,
+        moves_truth=True,
+    ),
+    Change(
+        "gravity as 1/r",
+        "own",
+        "forces",
+        "pull = -self.strength * inverse * inverse * inverse",
+        "pull = -self.strength * inverse * inverse",
+        ("orbit_eccentric/umbra/float64",),
+        moves_truth=True,
+    ),
+    Change(
+        "a thruster that does not turn with its body",
+        "own",
+        "forces",
+        "push = _rotated(self.push, self.acting.take(position)[2])",
+        "push = self.push",
+        CRANE,
+        moves_truth=True,
+    ),
+    Change(
+        "forces that move a kinematic body",
+        "own",
+        "umbra.bodies",
+        'if self.kind != "dynamic" or self.mass == 0.0:',
+        'if self.kind == "static" or self.mass == 0.0:',
+        CRANE,
+        moves_truth=True,
+    ),
+    Change(
+        "kinetic energy without the half",
+        "own",
+        "state",
+        "return 0.5 * (mx * vx * vx",
+        "return 1.0 * (mx * vx * vx",
+        CRANE,
+        moves_truth=True,
+    ),
+)
+
+HARMLESS = (
+    Change(
+        "the average summed in another order",
+        "harmless",
+        PIPELINE,
+        "velocity = velocity + (acceleration + new_acceleration) * 0.5 * dt",
+        "velocity = velocity + new_acceleration * (0.5 * dt) + acceleration * (0.5 * dt)",
+        ("spring/umbra/float64", "spring/umbra/float32", "spring/umbra-repaired/float32"),
+    ),
+    Change(
+        "RK4's slopes summed backwards",
+        "harmless",
+        "integrators",
+        "(k1v + 2 * k2v + 2 * k3v + k4v) * (dt / 6)",
+        "(dt / 6) * (k4v + (2 * k3v + (2 * k2v + k1v)))",
+        ("orbit_eccentric/rk4/float64", "orbit_eccentric/rk4/float32"),
+    ),
+    Change(
+        "a division in place of a multiplication",
+        "harmless",
+        "forces",
+        "pull = -self.strength * inverse * inverse * inverse",
+        "pull = -self.strength / (x * x + y * y) * inverse",
+        ("orbit_eccentric/umbra/float64", "orbit_eccentric/yoshida4/float32"),
+        moves_truth=True,
+    ),
+)
