@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
-
 from faults import FAULTS, HARMLESS
+
 from umbra_bench import integrators
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.gate import exit_code
