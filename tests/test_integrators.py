@@ -16,7 +16,7 @@ from umbra_bench.compiled import COMPILED_METHODS
 from umbra_bench.integrators import INTEGRATORS
 from umbra_bench.jax_settings import float64_allowed
 from umbra_bench.scenario import Scenario
-from umbra_bench.simulate import simulate
+from umbra_bench.simulation import simulate
 from umbra_bench.state import State, angular_momentum, linear_momentum
 from umbra_bench.system import System, build_system
 from umbra_bench.umbra import UmbraState

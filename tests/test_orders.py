@@ -12,7 +12,7 @@ from problems import EPS, spring
 
 from umbra_bench.metrics import ErrorPoint, Order, observed_order
 from umbra_bench.scenario import Scenario
-from umbra_bench.simulate import simulate
+from umbra_bench.simulation import simulate
 from umbra_bench.study import Study, run_study
 
 # The physics page, measured -----------------------------------------------------------------------

@@ -18,7 +18,7 @@ from umbra_bench.errors import UmbraBenchError
 from umbra_bench.jax_settings import float64_allowed
 from umbra_bench.reference import observe_all
 from umbra_bench.scenario import Scenario
-from umbra_bench.simulate import Trajectory, open_run, simulate, whole_steps
+from umbra_bench.simulation import Trajectory, open_run, simulate, whole_steps
 
 Load = Callable[[str], Scenario]
 

@@ -16,7 +16,7 @@ from problems import EPS, EPS32, angles_apart, orbit, problem, spring
 
 from umbra_bench.jax_settings import float64_allowed
 from umbra_bench.scenario import Scenario
-from umbra_bench.simulate import simulate
+from umbra_bench.simulation import simulate
 from umbra_bench.system import body_definition, build_system
 from umbra_bench.umbra import (
     Bodies,

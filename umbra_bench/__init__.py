@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from umbra_bench.report import tables_of, write_report
     from umbra_bench.results import save_study
     from umbra_bench.scenario import Scenario, list_scenarios, load_scenario
-    from umbra_bench.simulate import Trajectory, simulate
+    from umbra_bench.simulation import Trajectory, simulate
     from umbra_bench.study import Study, run_study
     from umbra_bench.umbra import BodyDefinition, PhysicsService
 
@@ -43,8 +43,8 @@ _HOMES = {
     "Scenario": "scenario",
     "list_scenarios": "scenario",
     "load_scenario": "scenario",
-    "Trajectory": "simulate",
-    "simulate": "simulate",
+    "Trajectory": "simulation",
+    "simulate": "simulation",
     "Study": "study",
     "run_study": "study",
     "BodyDefinition": "umbra",

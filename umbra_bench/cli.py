@@ -6,10 +6,11 @@ standard error. Numerical libraries are imported by the commands that need them.
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from umbra_bench.errors import UmbraBenchError
 from umbra_bench.methods import METHODS, PRECISIONS
 
 _PRECISION = click.Choice(PRECISIONS)
+_COUNT = click.IntRange(1, 2**62)
 _FOLDER = click.Path(path_type=Path, file_okay=False)
 
 
@@ -31,7 +33,11 @@ def cli() -> None:
 def main() -> None:
     """Run the command line; every failure that the user can mend is one line and exit code 2."""
     try:
-        code = cli.main(standalone_mode=False)
+        with cli.make_context("umbra-bench", sys.argv[1:]) as context:
+            code = cli.invoke(context)
+        sys.stdout.flush()
+    except click.exceptions.Exit as end:  # --help, --version
+        code = end.exit_code
     except click.exceptions.NoArgsIsHelpError as help_text:
         click.echo(help_text.format_message())
         code = 2
@@ -42,9 +48,18 @@ def main() -> None:
     except (click.Abort, KeyboardInterrupt):
         code = _complain("interrupted")
     except BrokenPipeError:  # the reader of our output had enough
-        sys.stderr.close()
         code = 0
+        _drop_output()
+    except OSError as error:
+        code = _complain(f"standard output cannot be written: {error.strerror}")
+        _drop_output()
     sys.exit(code or 0)
+
+
+def _drop_output() -> None:
+    """Let the interpreter's last flush go nowhere, where standard output takes nothing more."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _complain(message: str) -> int:
@@ -56,9 +71,9 @@ def _complain(message: str) -> int:
 @click.argument("scenario")
 @click.option("--method", required=True, help="See `umbra-bench list methods`.")
 @click.option("--dt", type=float, required=True, help="Step, s.")
-@click.option("--steps", type=click.IntRange(1), help="Default: as many as fit in the duration.")
+@click.option("--steps", type=_COUNT, help="Default: as many as fit in the duration.")
 @click.option("--precision", type=_PRECISION, default="float64", show_default=True)
-@click.option("--every", type=click.IntRange(1), default=1, help="Write every M-th state.")
+@click.option("--every", type=_COUNT, default=1, help="Write every M-th state.")
 @click.option("--output", default="-", help="A file, or - for standard output.")
 def simulate(
     scenario: str,
@@ -208,7 +223,7 @@ def _prepare() -> None:
     keep_compiled_code()
 
 
-@contextmanager
+@contextlib.contextmanager
 def _progress(title: str) -> Iterator[Callable[[str, int, int], None]]:
     """A progress bar on a terminal, plain lines elsewhere; both on standard error."""
     if not sys.stderr.isatty():

@@ -28,5 +28,8 @@ def hint(word: object, known: Iterable[str], label: str = "allowed") -> str:
 
 def short(value: object, length: int = 60) -> str:
     """Return `value` as one printable line of at most `length` characters."""
-    text = repr(value)
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # a number of thousands of digits, a table a mile deep
+        return f"<a {type(value).__name__} too large to print>"
     return text if len(text) <= length else text[: length - 3] + "..."

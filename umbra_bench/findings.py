@@ -99,7 +99,11 @@ def paragraph(tables: Sequence[ScenarioTables]) -> str:
         *_repair_sentence(tables),
         *_pymunk_sentence(tables),
     ]
-    return " ".join(sentences) or "The results hold no runs of UMBRA's methods."
+    if sentences:
+        return " ".join(sentences)
+    if any("umbra" in t.methods for t in tables):
+        return "The steps of this study are too few to show an order."
+    return "The results hold no runs of UMBRA's methods."
 
 
 def _order_sentence(tables: Sequence[ScenarioTables]) -> Iterable[str]:

@@ -249,7 +249,7 @@ class CentralGravity:
     def force(self, position: Array, velocity: Array) -> Array:
         xp = position.__array_namespace__()
         x, y, inverse = self._from_centre(position)
-        pull = -self.strength * inverse * inverse * inverse
+        pull = -(self.strength * inverse) * (inverse * inverse)
         return self.acting.collect(xp.stack([pull * x, pull * y, xp.zeros_like(pull)]))
 
     def potential(self, position: Array) -> Array:

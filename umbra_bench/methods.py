@@ -1,7 +1,7 @@
 """The table of contents of everything that can be measured.
 
 Only names and facts live here, so that listing the methods imports no numerical library;
-:mod:`umbra_bench.simulate` binds each name to its code.
+:mod:`umbra_bench.simulation` binds each name to its code.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import resources
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -151,7 +152,8 @@ def draw_motion(tables: ScenarioTables) -> Figure:
             axes.plot(mx, my, color=look.colour, linestyle=look.line, lw=0.9, label=_title(method))
         axes.set_xlabel(picture.x_label)
         axes.set_ylabel(picture.y_label)
-        axes.set_title(f"{body}, float64, dt = {tables.default_step:g} s", loc="left")
+        title = f"{body}, float64, dt = {tables.default_step:g} s"
+        axes.set_title(title, loc="left", parse_math=False)
         if picture.x_label.startswith("time"):
             axes.set_xlim(x[0], x[-1])
         else:
@@ -197,6 +199,13 @@ _PICTURES: dict[str, Picture] = {
     "free_fall": Picture(_columns("t", "y"), "time (s)", "height (m)"),
     "rotation": Picture(_columns("t", "angle"), "time (s)", "angle (rad)"),
 }
+
+
+def save(figure: Figure, path: Path, ending: str) -> None:
+    """Write a figure as "svg" or "png"; the same figure gives the same bytes."""
+    metadata = {"Date": None} if ending == "svg" else {}
+    with _styled():
+        figure.savefig(path, format=ending, metadata=metadata)
 
 
 # Parts of figures ---------------------------------------------------------------------------------

@@ -9,11 +9,13 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import jinja2
 import polars as pl
 
 from umbra_bench import findings, plots
+from umbra_bench.errors import UmbraBenchError
 from umbra_bench.plots import ScenarioTables
 from umbra_bench.results import described, load_json, load_table, replacing
 from umbra_bench.study import Study
@@ -84,6 +86,12 @@ def _bundles(
     energy: pl.DataFrame,
     scenarios: dict[str, Any],
 ) -> list[ScenarioTables]:
+    for name in references["scenario"]:
+        if name not in scenarios:
+            raise UmbraBenchError(
+                f"scenarios.json: does not describe scenario {name!r} of the tables beside it; "
+                "run `umbra-bench study` again"
+            )
     return [
         ScenarioTables(
             scenario=scenarios[reference["scenario"]],
@@ -118,7 +126,7 @@ def render_page(tables: list[ScenarioTables], results: Path) -> str:
                 "tables": t,
                 "figures": [
                     {
-                        "file": f"figures/{t.scenario['name']}-{name}",
+                        "file": quote(f"figures/{t.scenario['name']}-{name}"),
                         "title": title,
                         "caption": findings.caption(name, t),
                     }
@@ -137,7 +145,7 @@ def render_page(tables: list[ScenarioTables], results: Path) -> str:
 
 def markdown_text(text: str) -> str:
     """Text that shows as it was written, whatever markup it holds."""
-    for character in "\\`*_{}[]<>()#+-.!|&":
+    for character in "\\`*_{}[]<>()#+-.!|&~$":
         text = text.replace(character, f"\\{character}")
     return " ".join(text.split())
 
@@ -151,7 +159,7 @@ def _draw(job: tuple[ScenarioTables, str, Path]) -> Path:
     tables, name, folder = job
     figure = FIGURES[name][1](tables)
     path = folder / f"{tables.scenario['name']}-{name}"
-    for ending, metadata in (("svg", {"Date": None}), ("png", {})):
-        with replacing(path.with_suffix(f".{ending}")) as temporary:
-            figure.savefig(temporary, format=ending, metadata=metadata)
+    for ending in ("svg", "png"):
+        with replacing(path.with_name(f"{path.name}.{ending}")) as temporary:
+            plots.save(figure, temporary, ending)
     return path

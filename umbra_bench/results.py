@@ -90,7 +90,7 @@ def load_table(name: str, folder: Path = RESULTS) -> pl.DataFrame:
     """
     path = folder / f"{name}.parquet"
     try:
-        return pl.read_parquet(path)
+        return pl.read_parquet(path, glob=False)
     except FileNotFoundError:
         raise UmbraBenchError(
             f"{path}: missing; run `umbra-bench study` (or `make study`) first"

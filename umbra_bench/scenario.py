@@ -31,16 +31,25 @@ MAXIMUM_STEPS = 10**9
 MAXIMUM_COARSE_STEPS = 10**6
 """The most steps at the coarsest step, which are all kept as samples."""
 
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+LARGEST = 1e60
+"""The largest size of a number in a scenario: products of five of them are still finite."""
+
+SMALLEST = 1e-60
+"""The smallest size of a mass, a length, a duration: its inverse is still finite."""
+
+_Finite = Annotated[float, Field(strict=True, allow_inf_nan=False, le=LARGEST)]
+Number = Annotated[_Finite, Field(ge=-LARGEST)]
+NotNegative = Annotated[_Finite, Field(ge=0.0)]
+Positive = Annotated[_Finite, Field(ge=SMALLEST)]
 Vector = tuple[Number, Number]
 Flag = Annotated[bool, Field(strict=True)]
 Text = Annotated[str, Field(strict=True, min_length=1)]
-Damping = Annotated[Number, Field(gt=0.0, le=1.0)]
+Damping = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1.0)]
 
-_NUMBER = "a finite number"
-_NOT_NEGATIVE = "a finite number >= 0"
-_POSITIVE = "a finite number > 0"
-_VECTOR = "two finite numbers [x, y]"
+_NUMBER = "a finite number (1e60 at most)"
+_NOT_NEGATIVE = "a finite number >= 0 (1e60 at most)"
+_POSITIVE = "a finite number > 0 (1e-60 to 1e60)"
+_VECTOR = "two finite numbers [x, y] (1e60 at most)"
 _DAMPING = "the fraction of velocity kept per second, in (0, 1]; 1 = none"
 _BODY = "the name of one of the bodies"
 
@@ -55,15 +64,15 @@ class Box(_Table):
     """A rectangle of uniform density."""
 
     kind: Literal["box"]
-    width: Number = Field(gt=0.0, description=_POSITIVE + ", in m")
-    height: Number = Field(gt=0.0, description=_POSITIVE + ", in m")
+    width: Positive = Field(description=_POSITIVE + ", in m")
+    height: Positive = Field(description=_POSITIVE + ", in m")
 
 
 class Circle(_Table):
     """A solid disk of uniform density."""
 
     kind: Literal["circle"]
-    radius: Number = Field(gt=0.0, description=_POSITIVE + ", in m")
+    radius: Positive = Field(description=_POSITIVE + ", in m")
 
 
 Shape = Annotated[Box | Circle, Discriminator("kind")]
@@ -73,13 +82,13 @@ class Body(_Table):
     """A body as the file states it: kg, m, m/s, rad, rad/s."""
 
     name: Text = Field(description="a name, not empty and different from every other body's")
-    mass: Number = Field(ge=0.0, description=_NOT_NEGATIVE + ", in kg; 0 = static")
+    mass: NotNegative = Field(description=_NOT_NEGATIVE + ", in kg; 0 = static")
     shape: Shape | None = Field(
         default=None,
         description='{ kind = "box", width = W, height = H } or { kind = "circle", radius = R }',
     )
-    inertia: Number | None = Field(
-        default=None, ge=0.0, description=_NOT_NEGATIVE + ", in kg m^2; 0 = no torque turns it"
+    inertia: NotNegative | None = Field(
+        default=None, description=_NOT_NEGATIVE + ", in kg m^2; 0 = no torque turns it"
     )
     position: Vector = Field(description=_VECTOR + ", in m")
     angle: Number = Field(default=0.0, description=_NUMBER + ", in rad")
@@ -105,9 +114,9 @@ class Spring(_Table):
     anchor: Vector | None = Field(default=None, description=_VECTOR + ", in m")
     other: Text | None = Field(default=None, description=_BODY)
     point: Vector = Field(default=(0.0, 0.0), description=_VECTOR + ", in body coordinates, m")
-    stiffness: Number = Field(ge=0.0, description=_NOT_NEGATIVE + ", in N/m")
-    rest_length: Number = Field(default=0.0, ge=0.0, description=_NOT_NEGATIVE + ", in m")
-    damping: Number = Field(default=0.0, ge=0.0, description=_NOT_NEGATIVE + ", in N s/m")
+    stiffness: NotNegative = Field(description=_NOT_NEGATIVE + ", in N/m")
+    rest_length: NotNegative = Field(default=0.0, description=_NOT_NEGATIVE + ", in m")
+    damping: NotNegative = Field(default=0.0, description=_NOT_NEGATIVE + ", in N s/m")
 
 
 class TorsionSpring(_Table):
@@ -115,9 +124,9 @@ class TorsionSpring(_Table):
 
     kind: Literal["torsion_spring"]
     body: Text = Field(description=_BODY)
-    stiffness: Number = Field(ge=0.0, description=_NOT_NEGATIVE + ", in N m/rad")
+    stiffness: NotNegative = Field(description=_NOT_NEGATIVE + ", in N m/rad")
     rest_angle: Number = Field(default=0.0, description=_NUMBER + ", in rad")
-    damping: Number = Field(default=0.0, ge=0.0, description=_NOT_NEGATIVE + ", in N m s/rad")
+    damping: NotNegative = Field(default=0.0, description=_NOT_NEGATIVE + ", in N m s/rad")
 
 
 class CentralGravity(_Table):
@@ -126,7 +135,7 @@ class CentralGravity(_Table):
     kind: Literal["central_gravity"]
     body: Text = Field(description=_BODY)
     centre: Vector = Field(default=(0.0, 0.0), description=_VECTOR + ", in m")
-    mu: Number = Field(gt=0.0, description=_POSITIVE + ", in m^3/s^2")
+    mu: Positive = Field(description=_POSITIVE + ", in m^3/s^2")
 
 
 class MutualGravity(_Table):
@@ -136,7 +145,7 @@ class MutualGravity(_Table):
     bodies: Annotated[tuple[Text, ...], Field(min_length=2)] = Field(
         description="the names of two or more bodies"
     )
-    gravitational_constant: Number = Field(gt=0.0, description=_POSITIVE + ", in m^3/(kg s^2)")
+    gravitational_constant: Positive = Field(description=_POSITIVE + ", in m^3/(kg s^2)")
 
 
 class ConstantForce(_Table):
@@ -162,7 +171,7 @@ class Drag(_Table):
 
     kind: Literal["drag"]
     body: Text = Field(description=_BODY)
-    coefficient: Number = Field(ge=0.0, description=_NOT_NEGATIVE + ", in N s/m")
+    coefficient: NotNegative = Field(description=_NOT_NEGATIVE + ", in N s/m")
 
 
 ForceTable = (
@@ -184,7 +193,7 @@ FORCE_KINDS: dict[str, type[BaseModel]] = {
 class Sweep(_Table):
     """The steps of the error-versus-dt report: start, start/2, ... start/2^halvings."""
 
-    start: Number = Field(gt=0.0, description=_POSITIVE + ", in s, and no longer than the duration")
+    start: Positive = Field(description=_POSITIVE + ", in s, and no longer than the duration")
     halvings: Annotated[int, Field(strict=True)] = Field(
         ge=0, le=24, description="a whole number from 0 to 24"
     )
@@ -193,17 +202,11 @@ class Sweep(_Table):
 class Budget(_Table):
     """Absolute limits for one method at the default step."""
 
-    energy_error_max: Number | None = Field(default=None, gt=0.0, description=_POSITIVE)
-    energy_drift_rate: Number | None = Field(
-        default=None, gt=0.0, description=_POSITIVE + ", per s"
-    )
-    position_error_max: Number | None = Field(
-        default=None, gt=0.0, description=_POSITIVE + ", in m"
-    )
-    velocity_error_max: Number | None = Field(
-        default=None, gt=0.0, description=_POSITIVE + ", in m/s"
-    )
-    angular_momentum_error_max: Number | None = Field(default=None, gt=0.0, description=_POSITIVE)
+    energy_error_max: Positive | None = Field(default=None, description=_POSITIVE)
+    energy_drift_rate: Positive | None = Field(default=None, description=_POSITIVE + ", per s")
+    position_error_max: Positive | None = Field(default=None, description=_POSITIVE + ", in m")
+    velocity_error_max: Positive | None = Field(default=None, description=_POSITIVE + ", in m/s")
+    angular_momentum_error_max: Positive | None = Field(default=None, description=_POSITIVE)
 
 
 class Scenario(_Table):
@@ -215,7 +218,7 @@ class Scenario(_Table):
         description='"spring", "orbit", "free_fall" or "rotation"'
     )
     description: Annotated[str, Field(strict=True)] = Field(default="", description="a text")
-    duration: Number = Field(gt=0.0, description=_POSITIVE + ", in s")
+    duration: Positive = Field(description=_POSITIVE + ", in s")
     gravity: Vector = Field(default=(0.0, 0.0), description=_VECTOR + ", in m/s^2")
     linear_damping: Damping = Field(default=1.0, description=_DAMPING)
     angular_damping: Damping = Field(default=1.0, description=_DAMPING)
@@ -285,10 +288,11 @@ def parse_scenario(document: dict[str, Any], path: Path) -> Scenario:
     """
     try:
         scenario = Scenario.model_validate(document)
+        complaint = next(_complaints(scenario, path.stem), None)
     except ValidationError as error:
-        raise ScenarioError(f"{path}: {_explain(error)}") from None
-    for complaint in _complaints(scenario, path.stem):
-        raise ScenarioError(f"{path}: {complaint}")
+        complaint = _explain(error)
+    if complaint is not None:
+        raise ScenarioError(" ".join(f"{path}: {complaint}".split()))
     return scenario
 
 
@@ -314,19 +318,25 @@ def find_scenario(name_or_path: str | Path, folder: Path | None = None) -> Path:
         ScenarioError: there is no such file.
     """
     given = Path(name_or_path)
-    if given.suffix == ".toml" or len(given.parts) > 1:
-        if given.is_file():
-            return given
-        raise ScenarioError(f"{given}: there is no such scenario file")
-    for directory in [folder] if folder else scenario_folders():
-        path = directory / f"{given}.toml"
-        if path.is_file():
+    is_path = given.suffix == ".toml" or len(given.parts) > 1
+    named = [] if is_path else [folder] if folder else scenario_folders()
+    for path in (*(directory / f"{given}.toml" for directory in named), given):
+        if _is_file(path):
             return path
+    if is_path:
+        raise ScenarioError(f"{given}: there is no such scenario file")
     known = list_scenarios()
     raise ScenarioError(
         f"SCENARIO {str(name_or_path)!r} is neither a file nor a name in scenarios/"
         f"{hint(name_or_path, known)}"
     )
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        return False
 
 
 def scenario_hash(scenario: Scenario) -> str:
@@ -345,7 +355,9 @@ _TAGGED: dict[str, dict[str, type[BaseModel]]] = {
 
 def _explain(error: ValidationError) -> str:
     """The first fault of a file in one line: key, value, what is allowed."""
-    fault = error.errors(include_url=False)[0]
+    faults = error.errors(include_url=False)
+    # A misspelt key is also a missing one: the spelling is what helps.
+    fault = next((f for f in faults if f["type"] == "extra_forbidden"), faults[0])
     key, allowed, table = _locate(fault["loc"])
     value = short(fault["input"])
     if fault["type"] == "extra_forbidden":
@@ -435,11 +447,15 @@ def _body_complaints(scenario: Scenario) -> Iterator[str]:
             second = len(names) - 1 - names[::-1].index(name)
             yield f"bodies[{second}].name = {name!r}: already the name of another body"
     for i, body in enumerate(scenario.bodies):
+        for key in ("mass", "inertia"):
+            value = getattr(body, key)
+            if value is not None and 0.0 < value < SMALLEST:
+                yield f"bodies[{i}].{key} = {value!r}: expected 0 or a number of at least {SMALLEST}"
         if body.is_static and (any(body.velocity) or body.angular_velocity):
             key = "velocity" if any(body.velocity) else "angular_velocity"
-            value = list(body.velocity) if any(body.velocity) else body.angular_velocity
+            still = list(body.velocity) if any(body.velocity) else body.angular_velocity
             yield (
-                f"bodies[{i}].{key} = {value}: a static body does not move; "
+                f"bodies[{i}].{key} = {still}: a static body does not move; "
                 'expected 0, or kind = "kinematic"'
             )
 

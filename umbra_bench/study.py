@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -30,7 +30,7 @@ from umbra_bench.metrics import (
 )
 from umbra_bench.reference import Reference, certified_reference
 from umbra_bench.scenario import Scenario
-from umbra_bench.simulate import Trajectory, simulate
+from umbra_bench.simulation import Trajectory, simulate
 
 DIVERGENCE = 1e12
 """An energy beyond this multiple of the scenario's energy scale counts as a divergence."""
@@ -76,6 +76,18 @@ ORDERS_SCHEMA: dict[str, Any] = {
     "order": pl.Float64,
     "standard_error": pl.Float64,
     "points": pl.Int64,
+}
+
+
+ENERGY_SCHEMA: dict[str, Any] = {
+    "scenario": pl.String,
+    "method": pl.String,
+    "precision": pl.String,
+    "dt": pl.Float64,
+    "t": pl.Float64,
+    "energy_error": pl.Float64,
+    "lowest": pl.Float64,
+    "highest": pl.Float64,
 }
 
 
@@ -144,7 +156,13 @@ def run_study(
     Raises:
         UmbraBenchError: an unknown method, or a scenario whose reference cannot be had.
     """
-    names = list(methods) or [name for name, method in METHODS.items() if method.studied]
+    scenarios = list({scenario.name: scenario for scenario in scenarios}.values())
+    if not scenarios:
+        raise UmbraBenchError("no scenario is named; see `umbra-bench list scenarios`")
+    precisions = list(dict.fromkeys(precisions))
+    names = list(dict.fromkeys(methods)) or [
+        name for name, method in METHODS.items() if method.studied
+    ]
     for name in names:
         if find_method(name).kind == "reference":
             raise UmbraBenchError(
@@ -197,7 +215,9 @@ def run_study(
             {"scenario": pl.String, "method": pl.String, "reason": pl.String},
         ),
         motion=pl.concat(motion + [table for o in outcomes for table in o.motion]),
-        energy=_concatenate(table for o in outcomes for table in o.energy),
+        energy=pl.concat(
+            [pl.DataFrame(schema=ENERGY_SCHEMA), *(table for o in outcomes for table in o.energy)]
+        ),
     )
 
 
@@ -212,15 +232,21 @@ def _sweep(job: _Job) -> _Outcome:
         try:
             trajectory = run_on_grid(scenario, reference, job.method, dt, job.precision)
         except UnsupportedScenario as reason:
-            row = {"scenario": scenario.name, "method": job.method, "reason": str(reason)}
-            outcome.skips.append(row)
+            outcome.skips.append(_skip(job, str(reason)))
             return outcome
         outcome.runs.append(measure(trajectory, reference))
         if dt == scenario.default_step:
             outcome.motion.append(_motion(trajectory, scenario))
             outcome.energy.append(_energy(trajectory, reference))
-    outcome.orders += orders_of(outcome.runs, reference)
+    if outcome.runs:
+        outcome.orders += orders_of(outcome.runs, reference)
+    else:
+        outcome.skips.append(_skip(job, f"no step needs {ENGINE_STEPS} steps or fewer"))
     return outcome
+
+
+def _skip(job: _Job, reason: str) -> dict[str, Any]:
+    return {"scenario": job.scenario.name, "method": job.method, "reason": reason}
 
 
 def run_on_grid(
@@ -382,8 +408,3 @@ def _reference_row(scenario: Scenario, reference: Reference) -> dict[str, Any]:
         "angular_momentum_drift": certificate.angular_momentum_drift,
         **{f"{name}_scale": value for name, value in reference.scales._asdict().items()},
     }
-
-
-def _concatenate(tables: Iterable[pl.DataFrame]) -> pl.DataFrame:
-    found = list(tables)
-    return pl.concat(found) if found else pl.DataFrame()

@@ -16,7 +16,7 @@ from umbra_bench.methods import find_method
 from umbra_bench.reference import observe_all
 from umbra_bench.results import replacing
 from umbra_bench.scenario import Scenario
-from umbra_bench.simulate import Run, open_run, whole_steps
+from umbra_bench.simulation import Run, open_run, whole_steps
 from umbra_bench.system import build_system, initial_state
 
 HEADER = "t,body,x,y,angle,vx,vy,omega,energy"
@@ -98,11 +98,23 @@ def _quoted(name: str) -> str:
     return name
 
 
+def _is_device(path: Path) -> bool:
+    try:
+        return path.exists() and not (path.is_file() or path.is_dir())
+    except OSError:
+        return False
+
+
 @contextlib.contextmanager
 def _opened(output: str) -> Iterator[TextIO]:
     if output == "-":
         yield sys.stdout
         sys.stdout.flush()
         return
-    with replacing(Path(output)) as temporary, temporary.open("w", encoding="utf-8") as file:
+    path = Path(output)
+    if _is_device(path):
+        with path.open("w", encoding="utf-8") as device:  # /dev/null, a pipe: not to be replaced
+            yield device
+        return
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         yield file

@@ -20,12 +20,12 @@ BodyKind = Literal["dynamic", "static", "kinematic"]
 
 def disk_inertia(mass: float, radius: float) -> float:
     """Moment of inertia of a solid disk about its centre, kg m^2: m r^2 / 2 (devlog, Newton's laws)."""
-    return 0.5 * mass * radius**2
+    return 0.5 * mass * radius * radius
 
 
 def box_inertia(mass: float, width: float, height: float) -> float:
     """Moment of inertia of a solid rectangle about its centre, kg m^2: m (w^2 + h^2) / 12 (ditto)."""
-    return mass * (width**2 + height**2) / 12.0
+    return mass * (width * width + height * height) / 12.0
 
 
 @dataclass(frozen=True)

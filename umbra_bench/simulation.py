@@ -17,6 +17,9 @@ from umbra_bench.scenario import Scenario
 from umbra_bench.state import State
 from umbra_bench.system import build_system, initial_state
 
+MOST_STEPS = 2**62
+"""The most steps that a run can count."""
+
 
 class Run(Protocol):
     """A method at work: each call goes on where the one before ended."""
@@ -67,6 +70,11 @@ def open_run(
     Raises:
         UmbraBenchError: unknown method, or an engine that is missing or cannot do the scenario.
     """
+    kept = np.dtype(find_method(method).precision or precision)
+    with np.errstate(over="ignore"):
+        represented = float(kept.type(dt))
+    if not 0.0 < represented < float("inf"):
+        raise UmbraBenchError(f"--dt {dt}: is {represented} in {kept}; expected a number between")
     match find_method(method).kind:
         case "reference":
             return ReferenceRun(scenario, dt)
@@ -163,8 +171,17 @@ def simulate(
 
 
 def whole_steps(scenario: Scenario, dt: float) -> int:
-    """How many steps of `dt` fit in the duration; a last one short by rounding alone is one."""
-    return int(scenario.duration / dt * (1 + 1e-9))
+    """How many steps of `dt` fit in the duration; a last one short by rounding alone is one.
+
+    Raises:
+        UmbraBenchError: more than can be counted.
+    """
+    steps = scenario.duration / dt * (1 + 1e-9)
+    if not steps <= MOST_STEPS:
+        raise UmbraBenchError(
+            f"--dt {dt}: too short for {scenario.duration} s; expected fewer steps"
+        )
+    return int(steps)
 
 
 def _divergence(
