@@ -445,6 +445,22 @@ def test_a_scenario_file_that_is_wrong(
     assert said in line
 
 
+@pytest.mark.parametrize(
+    ("written", "wrong"),
+    [("mass = 2.0", "mass = 1e50"), ("mass = 2.0", "mass = 1e-50"), ("[1.1, 0.3]", "[1e50, 0.3]")],
+)
+def test_numbers_that_float32_does_not_hold_make_no_warnings(
+    run: Run, swing: Path, written: str, wrong: str
+) -> None:
+    """Refused in one line, or run and said to have diverged: a warning is neither."""
+    swing.write_text(SWING.replace(written, wrong, 1), encoding="utf-8")
+    words = ("--method", "umbra", "--dt", 0.05, "--precision", "float32")
+    outcome = run("simulate", swing, *words)
+    assert outcome.code in (0, 2)
+    assert len(outcome.stderr.splitlines()) <= 1
+    assert outcome.stderr == "" or outcome.stderr.startswith("umbra-bench: ")
+
+
 def test_an_engine_that_cannot_do_a_scenario_says_why(run: Run, orbit: Path) -> None:
     line = refused(run("simulate", orbit, "--method", "pymunk-spring", "--dt", 0.05))
     assert "pymunk" in line

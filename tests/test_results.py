@@ -378,6 +378,13 @@ def test_what_is_named_twice_is_run_once() -> None:
     assert found.references.height == 1
 
 
+def test_two_scenarios_of_one_name_are_not_confused() -> None:
+    """Tables know scenarios by name: none of two different ones may go without a word."""
+    two = [spring("soft", stiffness, 0.16, halvings=0) for stiffness in (4.0, 9.0)]
+    with pytest.raises(UmbraBenchError, match="soft"):
+        run_study(two, ["umbra"], ["float64"])
+
+
 def test_the_names_of_the_package_are_always_the_same_things() -> None:
     """`ub.simulate` is a function the first time and every time, whatever was imported before."""
     for name in umbra_bench.__all__:

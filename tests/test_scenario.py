@@ -558,7 +558,8 @@ def test_a_kind_that_is_missing_or_unknown_is_named_with_all_kinds(
 
 @pytest.mark.parametrize("key", keys_of((int, float)))
 def test_every_number_is_a_finite_number_and_nothing_else(rig: Document, key: Key) -> None:
-    for value in (math.nan, math.inf, -math.inf, True, "1.0", [1.0], {"value": 1.0}):
+    numbers = (math.nan, math.inf, -math.inf, 1e200, -1e200)
+    for value in (*numbers, True, "1.0", [1.0], {"value": 1.0}):
         message = refusal(changed(rig, key, value))
         assert message.startswith(f"{spelt(key)} = {value!r}: not allowed; expected ")
 
@@ -951,17 +952,16 @@ def mutated(draw: Callable[[st.SearchStrategy[Any]], Any]) -> Document:
         places = list(nodes(document))
         if not places:
             break
-        key = draw(st.sampled_from(places))
-        parent = at(document, key[:-1])
+        *above, key = draw(st.sampled_from(places))
+        parent = at(document, tuple(above))
+        junk = copy.deepcopy(draw(st.sampled_from(JUNK)))
         match draw(st.sampled_from(["replace", "delete", "add"])):
             case "delete":
-                del parent[key[-1]]
+                del parent[key]
             case "add" if isinstance(parent, dict):
-                parent[draw(st.sampled_from(["mass", "kind", "x", "a\nb", "body", "dt"]))] = draw(
-                    st.sampled_from(JUNK)
-                )
+                parent[draw(st.sampled_from(["mass", "kind", "x", "a\nb", "body", "dt"]))] = junk
             case _:
-                parent[key[-1]] = copy.deepcopy(draw(st.sampled_from(JUNK)))
+                parent[key] = junk
     return document
 
 
