@@ -113,7 +113,14 @@ def study(
 
     loaded = [load_scenario(name) for name in scenarios or list_scenarios()]
     with _progress("Study") as listener:
-        found = run_study(loaded, methods, precisions or PRECISIONS, quick=quick, listener=listener)
+        found = run_study(
+            loaded,
+            methods,
+            precisions or PRECISIONS,
+            quick=quick,
+            processes=None,
+            listener=listener,
+        )
     save_study(found, results)
     click.echo(f"{found.runs.height} runs in {results}/study.csv, orders in {results}/orders.csv")
 
@@ -153,7 +160,7 @@ def gate(update: bool, baseline: Path, results: Path, self_test: bool) -> int:
     known = None if update and not baseline.is_file() else judge.load_baseline(baseline)
     lines = judge.planned_lines(judge.budgeted_scenarios())
     with _progress("Gate") as listener:
-        measured = judge.measure_lines(lines, listener)
+        measured = judge.measure_lines(lines, listener, processes=None)
     judgements = judge.judge(measured, known) if known is not None else []
     gate_output.print_table(judgements)
     if update:

@@ -24,9 +24,7 @@ What each scenario of the plan is sensitive to:
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -35,6 +33,7 @@ import numpy as np
 
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.methods import METHODS, PRECISIONS
+from umbra_bench.parallel import map_in_processes
 from umbra_bench.reference import Reference, certified_reference
 from umbra_bench.results import RESULTS, load_json, save_json
 from umbra_bench.scenario import Scenario, list_scenarios, load_scenario, scenario_hash
@@ -67,10 +66,10 @@ INTEGRATORS = tuple(n for n, m in METHODS.items() if m.kind in ("integrator", "u
 UMBRA = ("umbra", "umbra-repaired")
 
 PLAN: dict[str, tuple[str, ...]] = {
+    "crane": (*INTEGRATORS, "umbra-service"),
     "spring": (*INTEGRATORS, "pymunk", "pymunk-velocity-func", "pymunk-spring"),
     "spring_damped": (*INTEGRATORS, "umbra-service"),
     "orbit_eccentric": INTEGRATORS,
-    "crane": (*INTEGRATORS, "umbra-service"),
     "free_fall_damped": UMBRA,
     "spinning_box": (*UMBRA, "umbra-service"),
 }
@@ -174,36 +173,43 @@ def measure_lines(
     lines: Sequence[Line],
     listener: Callable[[str, int, int], None] = lambda what, done, total: None,
     references: Mapping[str, Reference] | None = None,
+    processes: int | None = 1,
 ) -> Measurement:
     """Run lines of the gate and measure them, against `references` where these are given.
+
+    `processes` is as in :func:`umbra_bench.study.run_study`.
 
     Raises:
         UmbraBenchError: a scenario that cannot be read or has no reference.
     """
-    names = list(dict.fromkeys(line.scenario for line in lines))
-    scenarios = {name: load_scenario(name) for name in names}
+    by_scenario: dict[str, list[Line]] = {}
+    for line in lines:
+        by_scenario.setdefault(line.scenario, []).append(line)
+    tasks = [
+        (load_scenario(name), members, references[name] if references is not None else None)
+        for name, members in by_scenario.items()
+    ]
     measurement = Measurement()
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        if references is None:
-            solved = pool.map(certified_reference, scenarios.values())
-            references = dict(zip(names, solved, strict=True))
-        for name in names:
-            _measure_truth(measurement, scenarios[name], references[name])
-        jobs = [(scenarios[line.scenario], references[line.scenario], line) for line in lines]
-        for done, (line, rows) in enumerate(
-            zip(lines, pool.map(lambda job: _run(*job), jobs), strict=True), start=1
-        ):
-            reference = references[line.scenario]
-            _measure_line(measurement, scenarios[line.scenario], reference, line, rows)
-            listener(str(line), done, len(lines))
+    for done, part in enumerate(map_in_processes(_measure_scenario, tasks, processes), start=1):
+        for name, table in vars(part).items():
+            getattr(measurement, name).update(table)
+        listener(tasks[done - 1][0].name, done, len(tasks))
     return measurement
 
 
-def _run(scenario: Scenario, reference: Reference, line: Line) -> list[dict[str, Any]]:
-    return [
-        measure(run_on_grid(scenario, reference, line.method, dt, line.precision), reference)
-        for dt in gate_steps(scenario)
-    ]
+def _measure_scenario(task: tuple[Scenario, list[Line], Reference | None]) -> Measurement:
+    scenario, lines, reference = task
+    if reference is None:
+        reference = certified_reference(scenario)
+    measurement = Measurement()
+    _measure_truth(measurement, scenario, reference)
+    for line in lines:
+        rows = [
+            measure(run_on_grid(scenario, reference, line.method, dt, line.precision), reference)
+            for dt in gate_steps(scenario)
+        ]
+        _measure_line(measurement, scenario, reference, line, rows)
+    return measurement
 
 
 def _measure_truth(measurement: Measurement, scenario: Scenario, reference: Reference) -> None:

@@ -8,6 +8,7 @@ calls :func:`keep_compiled_code`.
 
 from __future__ import annotations
 
+import os
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -24,7 +25,11 @@ def keep_compiled_code() -> None:
     """Keep compiled code between runs, in the user's cache folder, unless JAX was told where."""
     config: Any = jax.config
     if config.jax_compilation_cache_dir is None:
-        folder = platformdirs.user_cache_dir("umbra-bench", "umbra-bench")
-        config.update("jax_compilation_cache_dir", folder)
-        config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+        settings = {
+            "jax_compilation_cache_dir": platformdirs.user_cache_dir("umbra-bench", "umbra-bench"),
+            "jax_persistent_cache_min_compile_time_secs": 0.0,
+            "jax_persistent_cache_min_entry_size_bytes": -1,
+        }
+        for name, value in settings.items():
+            config.update(name, value)
+            os.environ[name.upper()] = str(value)  # for the processes that this one starts

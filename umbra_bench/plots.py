@@ -50,7 +50,7 @@ _UNKNOWN = Look("#444444", (0, (5, 1, 1, 1, 1, 1)), "h")
 
 PRECISIONS = ("float64", "float32")
 CLIP = 1e6
-"""A log axis of errors ends here: what is beyond has diverged."""
+"""A log axis ends at this multiple of the motion's scale: what is beyond has diverged."""
 
 
 @dataclass(frozen=True)
@@ -143,12 +143,13 @@ def draw_motion(tables: ScenarioTables) -> Figure:
         axes = figure.add_axes((0.105, 0.13, 0.525, 0.78))
         body = tables.scenario["bodies"][0]["name"]
         truth = _line(tables.motion, "reference", "float64").filter(pl.col("body") == body)
-        x, y = picture.curve(truth)
+        x, y = picture.curve(truth, math.inf)
+        size = 1e6 * max(float(np.nanmax(np.abs(values))) for values in (x, y))
         axes.plot(x, y, color="#cfcfcf", lw=5, solid_capstyle="round", label="Reference", zorder=1)
         for method in tables.methods:
             path = _line(tables.motion, method, "float64").filter(pl.col("body") == body)
             look = LOOKS.get(method, _UNKNOWN)
-            mx, my = picture.curve(path)
+            mx, my = picture.curve(path, size)
             axes.plot(mx, my, color=look.colour, linestyle=look.line, lw=0.9, label=_title(method))
         axes.set_xlabel(picture.x_label)
         axes.set_ylabel(picture.y_label)
@@ -170,27 +171,27 @@ def draw_motion(tables: ScenarioTables) -> Figure:
 class Picture(NamedTuple):
     """Which two quantities show a motion of one family."""
 
-    curve: Callable[[pl.DataFrame], tuple[np.ndarray, np.ndarray]]
+    curve: Callable[[pl.DataFrame, float], tuple[np.ndarray, np.ndarray]]
     x_label: str
     y_label: str
     equal: bool = False
 
 
-def _columns(x: str, y: str) -> Callable[[pl.DataFrame], tuple[np.ndarray, np.ndarray]]:
-    def curve(table: pl.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+def _columns(x: str, y: str) -> Callable[[pl.DataFrame, float], tuple[np.ndarray, np.ndarray]]:
+    def curve(table: pl.DataFrame, size: float) -> tuple[np.ndarray, np.ndarray]:
         values = table[y].to_numpy()
         if y == "angle":
             with np.errstate(all="ignore"):
                 values = np.unwrap(values)
-        return _drawable(table[x].to_numpy()), _drawable(values)
+        return _drawable(table[x].to_numpy(), size), _drawable(values, size)
 
     return curve
 
 
-def _drawable(values: np.ndarray) -> np.ndarray:
-    """Without what no canvas holds: a diverged curve ends."""
+def _drawable(values: np.ndarray, size: float) -> np.ndarray:
+    """Without what is beyond `size`, which no canvas holds: a diverged curve ends."""
     with np.errstate(all="ignore"):
-        return np.where(np.abs(values) < 1e9, values, np.nan)
+        return np.where(np.abs(values) < size, values, np.nan)
 
 
 _PICTURES: dict[str, Picture] = {
@@ -232,13 +233,14 @@ def _panels(y_label: str, x_label: str = "step dt (s)") -> tuple[Figure, list[Ax
 
 
 def _plot_against_dt(axes: Axes, tables: ScenarioTables, precision: str, column: str) -> None:
+    scale = tables.reference["length_scale"] if column.startswith("position") else 1.0
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_title(precision, loc="left")
     for method in tables.methods:
         line = _line(tables.runs, method, precision).sort("dt")
         good = line.filter(
-            pl.col(column).is_finite() & (pl.col(column) > 0) & (pl.col(column) < CLIP)
+            pl.col(column).is_finite() & (pl.col(column) > 0) & (pl.col(column) < CLIP * scale)
         )
         if good.is_empty():
             continue
@@ -260,7 +262,7 @@ def _finish_log_panels(panels: list[Axes], floor: float, label: str) -> None:
     )
     values = values[np.isfinite(values) & (values > 0)]
     low = min(values.min(initial=1.0), floor) / 30
-    high = min(values.max(initial=floor), CLIP) * 3
+    high = values.max(initial=floor) * 3
     for axes in panels:
         axes.set_ylim(low, high)
         axes.axhspan(low, floor, color="#efefef", zorder=0)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import shutil
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -16,6 +13,7 @@ import polars as pl
 
 from umbra_bench import findings, plots
 from umbra_bench.errors import UmbraBenchError
+from umbra_bench.parallel import map_in_processes
 from umbra_bench.plots import ScenarioTables
 from umbra_bench.results import described, load_json, load_table, replacing
 from umbra_bench.study import Study
@@ -42,11 +40,8 @@ def write_report(
     folder = output / "figures"
     shutil.rmtree(folder, ignore_errors=True)
     jobs = [(t, name, folder) for t in tables for name in FIGURES]
-    # Drawing holds the interpreter: processes use all cores, and a fresh start is safe with JAX.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(os.cpu_count(), mp_context=context) as pool:
-        for done, path in enumerate(pool.map(_draw, jobs), start=1):
-            listener(path.name, done, len(jobs))
+    for done, path in enumerate(map_in_processes(_draw, jobs), start=1):
+        listener(path.name, done, len(jobs))
     page = output / "index.md"
     text = render_page(tables, results)
     with replacing(page) as temporary:

@@ -303,7 +303,7 @@ def scenario_folders() -> list[Path]:
 
 
 def list_scenarios() -> list[str]:
-    """The names of all scenarios that can be given by name, sorted."""
+    """The names of the scenarios of a study, sorted; those of `gate/` serve the gate alone."""
     for folder in scenario_folders():
         names = sorted(path.stem for path in folder.glob("*.toml"))
         if names:
@@ -320,6 +320,7 @@ def find_scenario(name_or_path: str | Path, folder: Path | None = None) -> Path:
     given = Path(name_or_path)
     is_path = given.suffix == ".toml" or len(given.parts) > 1
     named = [] if is_path else [folder] if folder else scenario_folders()
+    named += [directory / "gate" for directory in named]
     for path in (*(directory / f"{given}.toml" for directory in named), given):
         if _is_file(path):
             return path

@@ -8,9 +8,7 @@ wherever the reference conserves them.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +26,7 @@ from umbra_bench.metrics import (
     position_distance,
     velocity_distance,
 )
+from umbra_bench.parallel import map_in_processes
 from umbra_bench.reference import Reference, certified_reference
 from umbra_bench.scenario import Scenario
 from umbra_bench.simulation import Trajectory, simulate
@@ -78,6 +77,24 @@ ORDERS_SCHEMA: dict[str, Any] = {
     "points": pl.Int64,
 }
 
+
+REFERENCES_SCHEMA: dict[str, Any] = {
+    "scenario": pl.String,
+    "position_bound": pl.Float64,
+    "velocity_bound": pl.Float64,
+    "energy_bound": pl.Float64,
+    "independent": pl.String,
+    "independent_difference": pl.Float64,
+    "tolerance_difference": pl.Float64,
+    "energy_drift": pl.Float64,
+    "angular_momentum_drift": pl.Float64,
+    "length_scale": pl.Float64,
+    "speed_scale": pl.Float64,
+    "energy_scale": pl.Float64,
+    "angular_momentum_scale": pl.Float64,
+}
+
+SKIPS_SCHEMA: dict[str, Any] = {"scenario": pl.String, "method": pl.String, "reason": pl.String}
 
 ENERGY_SCHEMA: dict[str, Any] = {
     "scenario": pl.String,
@@ -142,6 +159,7 @@ def run_study(
     precisions: Sequence[str] = PRECISIONS,
     *,
     quick: bool = False,
+    processes: int | None = 1,
     listener: Listener = lambda what, done, total: None,
 ) -> Study:
     """Sweep methods over scenarios.
@@ -151,18 +169,15 @@ def run_study(
         methods: names; none means all that a study runs unasked.
         precisions: of this project's integrators; an engine has its own.
         quick: only the first few steps of each sweep.
-        listener: told of every finished part.
+        processes: how many to use; None means one a core (see :mod:`umbra_bench.parallel`).
+        listener: told of every finished scenario.
 
     Raises:
         UmbraBenchError: an unknown method, or a scenario whose reference cannot be had.
     """
-    scenarios = list({scenario.name: scenario for scenario in scenarios}.values())
-    if not scenarios:
-        raise UmbraBenchError("no scenario is named; see `umbra-bench list scenarios`")
+    scenarios = _distinct(scenarios)
     precisions = list(dict.fromkeys(precisions))
-    names = list(dict.fromkeys(methods)) or [
-        name for name, method in METHODS.items() if method.studied
-    ]
+    names = list(dict.fromkeys(methods)) or [n for n, method in METHODS.items() if method.studied]
     for name in names:
         if find_method(name).kind == "reference":
             raise UmbraBenchError(
@@ -177,46 +192,48 @@ def run_study(
         for name in names
         for precision in (precisions if METHODS[name].precision is None else ["its own"])
     ]
-    total, done = len(scenarios) * (1 + len(lines)), 0
+    parts = []
+    for scenario, part in zip(
+        scenarios,
+        map_in_processes(_study_scenario, [(s, lines) for s in scenarios], processes),
+        strict=True,
+    ):
+        parts.append(part)
+        listener(scenario.name, len(parts), len(scenarios))
+    tables = (
+        pl.concat([getattr(part, name) for part in parts])
+        for name in ("runs", "orders", "references", "skips", "motion", "energy")
+    )
+    return Study(scenarios, *tables)
 
-    def tell(what: str) -> None:
-        nonlocal done
-        done += 1
-        listener(what, done, total)
 
-    # Compilation and compiled runs leave the interpreter free, so threads use all cores.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        references = []
-        for scenario, reference in zip(
-            scenarios, pool.map(certified_reference, scenarios), strict=True
-        ):
-            references.append(reference)
-            tell(f"reference of {scenario.name}")
-        jobs = [
-            _Job(scenario, reference, *line)
-            for scenario, reference in zip(scenarios, references, strict=True)
-            for line in lines
-        ]
-        outcomes = []
-        for job, outcome in zip(jobs, pool.map(_sweep, jobs), strict=True):
-            outcomes.append(outcome)
-            tell(f"{job.scenario.name}, {job.method}, {job.precision}")
+def _distinct(scenarios: Sequence[Scenario]) -> list[Scenario]:
+    """Each scenario once; two that differ under one name cannot be told apart in a table."""
+    found: dict[str, Scenario] = {}
+    for scenario in scenarios:
+        if found.setdefault(scenario.name, scenario) != scenario:
+            raise UmbraBenchError(f"two scenarios that differ are named {scenario.name!r}")
+    if not found:
+        raise UmbraBenchError("no scenario is named; see `umbra-bench list scenarios`")
+    return list(found.values())
 
-    motion = [_reference_motion(s, r) for s, r in zip(scenarios, references, strict=True)]
+
+def _study_scenario(task: tuple[Scenario, list[tuple[str, str]]]) -> Study:
+    """The study of one scenario: its reference first, then all lines of the sweep."""
+    scenario, lines = task
+    reference = certified_reference(scenario)
+    outcomes = [_sweep(_Job(scenario, reference, *line)) for line in lines]
     return Study(
-        scenarios=list(scenarios),
+        scenarios=[scenario],
         runs=pl.DataFrame([row for o in outcomes for row in o.runs], STUDY_SCHEMA),
         orders=pl.DataFrame([row for o in outcomes for row in o.orders], ORDERS_SCHEMA),
-        references=pl.DataFrame(
-            [_reference_row(s, r) for s, r in zip(scenarios, references, strict=True)]
+        references=pl.DataFrame([_reference_row(scenario, reference)], REFERENCES_SCHEMA),
+        skips=pl.DataFrame([row for o in outcomes for row in o.skips], SKIPS_SCHEMA),
+        motion=pl.concat(
+            [_reference_motion(scenario, reference), *(t for o in outcomes for t in o.motion)]
         ),
-        skips=pl.DataFrame(
-            [row for o in outcomes for row in o.skips],
-            {"scenario": pl.String, "method": pl.String, "reason": pl.String},
-        ),
-        motion=pl.concat(motion + [table for o in outcomes for table in o.motion]),
         energy=pl.concat(
-            [pl.DataFrame(schema=ENERGY_SCHEMA), *(table for o in outcomes for table in o.energy)]
+            [pl.DataFrame(schema=ENERGY_SCHEMA), *(t for o in outcomes for t in o.energy)]
         ),
     )
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from umbra_bench.errors import UnsupportedScenario
 from umbra_bench.forces import ForceLaw, build_laws
 from umbra_bench.scenario import Body, Box, Circle, Scenario
 from umbra_bench.state import State, kinetic_energy
@@ -62,13 +63,35 @@ class System(NamedTuple):
 
 def build_system(scenario: Scenario, precision: str = "float64") -> System:
     """The bodies and force laws of a scenario, as NumPy arrays of `precision`."""
+    _require_held(scenario, precision)
     dtype = np.dtype(precision).type
     bodies = Bodies.of([body_definition(body, scenario) for body in scenario.bodies], dtype)
     return System(bodies, build_laws(scenario, bodies))
 
 
+def _require_held(scenario: Scenario, precision: str) -> None:
+    """Refuse a scenario whose bodies `precision` cannot hold.
+
+    Raises:
+        UnsupportedScenario: a mass, its inverse, a place or a velocity overflows.
+    """
+    with np.errstate(all="ignore"):
+        for body in scenario.bodies:
+            definition = body_definition(body, scenario)
+            numbers = (
+                *(definition.mass, definition.moment_of_inertia, *definition.inverse_masses),
+                *(*body.position, body.angle, *body.velocity, body.angular_velocity),
+            )
+            if not np.isfinite(np.array(numbers).astype(precision)).all():
+                raise UnsupportedScenario(
+                    f"scenario {scenario.name}: body {body.name!r} has a mass, a place or a "
+                    f"velocity that {precision} does not hold"
+                )
+
+
 def initial_state(scenario: Scenario, precision: str = "float64") -> State:
     """The state in which a scenario starts, shape (3, N) each, as NumPy arrays of `precision`."""
+    _require_held(scenario, precision)
     dtype = np.dtype(precision).type
     position = [(*body.position, body.angle) for body in scenario.bodies]
     velocity = [(*body.velocity, body.angular_velocity) for body in scenario.bodies]
