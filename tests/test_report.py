@@ -55,7 +55,7 @@ class InThisProcess:
 @pytest.fixture(autouse=True)
 def _in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw here, where warnings are errors and what is patched is patched."""
-    monkeypatch.setattr(report, "ProcessPoolExecutor", InThisProcess)
+    monkeypatch.setattr("umbra_bench.parallel.ProcessPoolExecutor", InThisProcess)
 
 
 @pytest.fixture(scope="session")

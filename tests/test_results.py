@@ -292,8 +292,7 @@ def test_progress_is_told() -> None:
         ["float64"],
         listener=lambda what, done, total: told.append((what, done, total)),
     )
-    assert [(done, total) for _, done, total in told] == [(1, 3), (2, 3), (3, 3)]
-    assert "spared" in told[0][0]
+    assert told == [("spared", 1, 1)]
 
 
 SOFT = """
@@ -333,7 +332,7 @@ def test_the_command_writes_the_tables_and_says_where(
     stdout, stderr = capfd.readouterr()
     assert ending.value.code == 0
     assert stdout == "4 runs in t/study.csv, orders in t/orders.csv\n"
-    assert stderr.splitlines() == ["[1/2] reference of soft", "[2/2] soft, umbra, float64"]
+    assert stderr.splitlines() == ["[1/1] soft"]
     written = load_table("study", Path("t"))
     expected = runs(study, "soft", "umbra").head(4)
     assert_frame_equal(without_times(written), without_times(expected), check_exact=True)
