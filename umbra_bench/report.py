@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -38,7 +37,6 @@ def write_report(
     """
     tables = load_scenario_tables(results)
     folder = output / "figures"
-    shutil.rmtree(folder, ignore_errors=True)
     jobs = [(t, name, folder) for t in tables for name in FIGURES]
     for done, path in enumerate(map_in_processes(_draw, jobs), start=1):
         listener(path.name, done, len(jobs))
