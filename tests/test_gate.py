@@ -53,6 +53,16 @@ def test_the_committed_baseline_covers_the_whole_plan() -> None:
         assert any(cell.startswith(f"{line}/") for cell in committed["cells"])
 
 
+def test_a_cell_that_is_no_longer_measured_is_not_a_pass(
+    measured: Measurement, baseline: dict[str, Any]
+) -> None:
+    baseline["cells"]["spring/gone/float64/0.01"] = baseline["cells"][CELL]
+    assert gate.exit_code(gate.judge(measured, baseline)) == 0
+    judgements = [j for j in gate.judge(measured, baseline, whole=True) if j.verdict != "pass"]
+    assert [(j.cell, j.verdict) for j in judgements] == [("spring/gone/float64/0.01", "unjudged")]
+    assert gate.exit_code(judgements) == 2
+
+
 @pytest.mark.parametrize("metric", gate.METRICS)
 def test_an_error_beyond_the_tolerance_fails(
     measured: Measurement, baseline: dict[str, Any], metric: str

@@ -161,7 +161,7 @@ def gate(update: bool, baseline: Path, results: Path, self_test: bool) -> int:
     lines = judge.planned_lines(judge.budgeted_scenarios())
     with _progress("Gate") as listener:
         measured = judge.measure_lines(lines, listener, processes=None)
-    judgements = judge.judge(measured, known) if known is not None else []
+    judgements = judge.judge(measured, known, whole=True) if known is not None else []
     gate_output.print_table(judgements)
     if update:
         judge.save_baseline(measured, baseline)

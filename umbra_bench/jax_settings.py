@@ -22,7 +22,12 @@ def float64_allowed() -> AbstractContextManager[None]:
 
 
 def keep_compiled_code() -> None:
-    """Keep compiled code between runs, in the user's cache folder, unless JAX was told where."""
+    """Keep compiled code between runs, in the user's cache folder, unless JAX was told where.
+
+    Code that calls back into Python cannot be kept. Diffrax's solver does, to raise the errors of its
+    own checks, unless Equinox is told, before it is imported, to answer a failed check with NaN.
+    """
+    os.environ.setdefault("EQX_ON_ERROR", "nan")
     config: Any = jax.config
     if config.jax_compilation_cache_dir is None:
         settings = {

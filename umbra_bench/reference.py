@@ -120,7 +120,7 @@ def solve_reference(
         scaled, complete = _solve(
             system, np.stack(start) / unit, unit, times, tolerance, first_step
         )
-        if not complete:
+        if not (complete and np.isfinite(scaled).all()):
             raise UmbraBenchError(
                 f"scenario {scenario.name}: the reference did not reach t = {float(times[-1])!r} s; "
                 "allowed are motions without collisions or singularities"
