@@ -28,9 +28,10 @@ from umbra_bench import cli, findings, plots, report
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.methods import METHODS
 from umbra_bench.plots import LOOKS, ScenarioTables
-from umbra_bench.report import FIGURES, load_scenario_tables, markdown_text, write_report
+from umbra_bench.report import FIGURES, load_scenario_tables, write_report
 from umbra_bench.results import save_study
 from umbra_bench.study import Study, run_study
+from umbra_bench.wording import markdown_text
 
 Table = list[list[str]]
 

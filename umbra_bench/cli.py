@@ -138,6 +138,33 @@ def report(results: Path, output: Path) -> None:
 
 
 @cli.command()
+@click.option("--only", multiple=True, metavar="NAME", help="One statement or proof. Repeatable.")
+@click.option(
+    "--method", default="umbra", show_default=True, help="The method that stands for UMBRA's."
+)
+@click.option("--results", type=_FOLDER, default="results", show_default=True)
+@click.option("--output", type=_FOLDER, default="reports", show_default=True)
+def claims(only: tuple[str, ...], method: str, results: Path, output: Path) -> None:
+    """Measure the devlog's statements; write results/claims.json and reports/claims.md.
+
+    With --only, or with another method than UMBRA's, the answer is printed and nothing is written.
+    """
+    _prepare()
+    from umbra_bench.claims import measuring, page, record
+
+    if only:
+        page.print_claims(measuring.measure_named(only, method).document)
+        return
+    with _progress("Claims") as listener:
+        found = measuring.measure_all(method, processes=None, listener=listener)
+    page.print_claims(found.document)
+    if method != "umbra":
+        return
+    record.save_claims(found, results)
+    click.echo(f"{page.write_page(results, output)}")
+
+
+@cli.command()
 @click.option("--update", is_flag=True, help="Rewrite the baseline and tell what changed.")
 @click.option(
     "--baseline",

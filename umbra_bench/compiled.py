@@ -22,6 +22,7 @@ from umbra_bench.system import System
 from umbra_bench.umbra.bodies import Array, UmbraState
 from umbra_bench.umbra.pipeline import apply_damping, step
 from umbra_bench.umbra.repaired import primed, repaired_step
+from umbra_bench.umbra.uncorrected import uncorrected_step
 
 SMALL = 64
 """Up to this number of bodies the inner loop is compiled as one function, without the runtime's
@@ -51,8 +52,15 @@ def _umbra_start(system: System, state: State) -> UmbraState:
 
 def _umbra_step(system: System, state: UmbraState, dt: Array) -> UmbraState:
     """What a game does: apply the forces of the state that it sees, then step."""
-    force = state.force + system.force(state.position, state.velocity)
-    return step(system.bodies, state._replace(force=force), dt)
+    return step(system.bodies, _with_forces(system, state), dt)
+
+
+def _uncorrected_step(system: System, state: UmbraState, dt: Array) -> UmbraState:
+    return uncorrected_step(system.bodies, _with_forces(system, state), dt)
+
+
+def _with_forces(system: System, state: UmbraState) -> UmbraState:
+    return state._replace(force=state.force + system.force(state.position, state.velocity))
 
 
 def _repaired_start(system: System, state: State) -> UmbraState:
@@ -67,6 +75,9 @@ COMPILED_METHODS: dict[str, CompiledMethod] = {
     **{name: _textbook(integrator) for name, integrator in INTEGRATORS.items()},
     "umbra": CompiledMethod(_umbra_start, _umbra_step),
     "umbra-repaired": CompiledMethod(_repaired_start, _repaired_step),
+    "umbra-primed": CompiledMethod(_repaired_start, _umbra_step),
+    "umbra-swapped": CompiledMethod(_umbra_start, _repaired_step),
+    "umbra-uncorrected": CompiledMethod(_umbra_start, _uncorrected_step),
 }
 
 

@@ -11,27 +11,10 @@ import polars as pl
 
 from umbra_bench.methods import METHODS
 from umbra_bench.plots import ScenarioTables
+from umbra_bench.wording import method_title, number
 
 EXACT = 1e-9
 """A method whose error at the default step is below this part of the motion's size is exact."""
-
-
-def number(value: float | None, digits: int = 2) -> str:
-    """A number for people: plain where that is short, else a power of ten."""
-    if value is None:
-        return "–"
-    if math.isnan(value):
-        return "not a number"
-    if math.isinf(value):
-        return "infinite"
-    if value == 0.0 or 1e-2 <= abs(value) < 1e4:
-        return f"{value:.{digits + 1}g}"
-    return f"{value:.{digits - 1}e}"
-
-
-def title(method: str) -> str:
-    """The method's name for people."""
-    return METHODS[method].title if method in METHODS else method
 
 
 def order_text(tables: ScenarioTables, method: str, precision: str, quantity: str) -> str:
@@ -56,7 +39,7 @@ def order_table(tables: Sequence[ScenarioTables]) -> dict[str, Any]:
     return {
         "columns": [t.scenario["name"] for t in tables],
         "rows": [
-            (title(method), [order_text(t, method, "float64", "position") for t in tables])
+            (method_title(method), [order_text(t, method, "float64", "position") for t in tables])
             for method in _methods(tables)
         ],
     }
@@ -77,7 +60,7 @@ def drift_table(tables: Sequence[ScenarioTables]) -> dict[str, Any]:
                     else f"{run['energy_drift_rate']:+.1e}"
                     for run in found
                 ]
-                rows.append((title(method), precision, cells))
+                rows.append((method_title(method), precision, cells))
     return {"columns": [t.scenario["name"] for t in tables], "rows": rows}
 
 
@@ -91,9 +74,13 @@ def at_default_step(tables: ScenarioTables, method: str, precision: str) -> dict
     return rows.to_dicts()[0] if not rows.is_empty() else None
 
 
-def paragraph(tables: Sequence[ScenarioTables]) -> str:
-    """The findings in plain words, with their numbers; only of what the results hold."""
+def paragraph(tables: Sequence[ScenarioTables], claims: dict[str, Any] | None = None) -> str:
+    """The findings in plain words, with their numbers; only of what the results hold.
+
+    `claims`: what `umbra-bench claims` found, where it was run.
+    """
     sentences = [
+        *claims_sentence(claims),
         *_order_sentence(tables),
         *_energy_sentence(tables),
         *_repair_sentence(tables),
@@ -104,6 +91,20 @@ def paragraph(tables: Sequence[ScenarioTables]) -> str:
     if any("umbra" in t.methods for t in tables):
         return "The steps of this study are too few to show an order."
     return "The results hold no runs of UMBRA's methods."
+
+
+def claims_sentence(claims: dict[str, Any] | None) -> Iterable[str]:
+    """How the devlog's statements fared, and those that fail, in their own words."""
+    if claims is None:
+        return
+    rows = claims["statements"]
+    measured = [row for row in rows if row["verdict"] != "waits"]
+    failing = [row for row in rows if row["verdict"] == "fails"]
+    named = ": " + "; ".join(f"“{row['statement'].rstrip('.')}”" for row in failing)
+    yield (
+        f"**Of {len(measured)} statements of UMBRA's devlog {len(failing)} fail when they are "
+        f"measured** ([all of them](claims.md)){named if failing else ''}."
+    )
 
 
 def _order_sentence(tables: Sequence[ScenarioTables]) -> Iterable[str]:
@@ -201,7 +202,7 @@ def caption(figure: str, tables: ScenarioTables) -> str:
             )
         case _:
             away = [
-                title(method)
+                method_title(method)
                 for method in tables.methods
                 if (run := at_default_step(tables, method, "float64"))
                 and not run["position_error_max"] < 0.1 * tables.reference["length_scale"]

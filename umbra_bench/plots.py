@@ -24,6 +24,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from umbra_bench.methods import METHODS
 from umbra_bench.metrics import FLOOR_FACTOR
+from umbra_bench.wording import method_title
 
 
 class Look(NamedTuple):
@@ -42,11 +43,19 @@ LOOKS: dict[str, Look] = {
     "yoshida4": Look("#CC79A7", "-", "P"),
     "umbra": Look("#000000", (0, (4, 1.5)), "o"),
     "umbra-repaired": Look("#0072B2", (0, (4, 1.5)), "X"),
+    "umbra-primed": Look("#777777", "-", "^"),
+    "umbra-swapped": Look("#E69F00", "-", "s"),
     "pymunk": Look("#8C5A2B", (0, (1, 1)), "<"),
     "pymunk-velocity-func": Look("#777777", (0, (1, 1)), ">"),
     "pymunk-spring": Look("#AAAAAA", (0, (3, 1, 1, 1)), "*"),
 }
 _UNKNOWN = Look("#444444", (0, (5, 1, 1, 1, 1, 1)), "h")
+
+
+def look_of(method: str) -> Look:
+    """How a method is drawn; one that nobody thought of is grey."""
+    return LOOKS.get(method, _UNKNOWN)
+
 
 PRECISIONS = ("float64", "float32")
 CLIP = 1e6
@@ -78,35 +87,30 @@ class ScenarioTables:
 
 def draw_error(tables: ScenarioTables) -> Figure:
     """How does the position error shrink with the step?"""
-    with _styled():
-        figure, panels = _panels("largest position error (m)")
-        for axes, precision in zip(panels, PRECISIONS, strict=True):
-            _plot_against_dt(axes, tables, precision, "position_error_max")
-        floor = FLOOR_FACTOR * tables.reference["position_bound"]
-        _finish_log_panels(panels, floor, "floor of the reference")
-        for axes in panels:
-            _slope_guides(axes)
-        _legend(figure, tables, "position")
-    return figure
+    return _draw_against_dt(tables, "position", "largest position error (m)")
 
 
 def draw_energy(tables: ScenarioTables) -> Figure:
     """How does the largest energy error shrink with the step?"""
-    with _styled():
-        figure, panels = _panels("largest energy error / energy scale")
+    return _draw_against_dt(tables, "energy", "largest energy error / energy scale")
+
+
+def _draw_against_dt(tables: ScenarioTables, quantity: str, label: str) -> Figure:
+    with styled():
+        figure, panels = _panels(label)
         for axes, precision in zip(panels, PRECISIONS, strict=True):
-            _plot_against_dt(axes, tables, precision, "energy_error_max")
-        floor = FLOOR_FACTOR * tables.reference["energy_bound"]
+            _plot_against_dt(axes, tables, precision, f"{quantity}_error_max")
+        floor = FLOOR_FACTOR * tables.reference[f"{quantity}_bound"]
         _finish_log_panels(panels, floor, "floor of the reference")
         for axes in panels:
-            _slope_guides(axes)
-        _legend(figure, tables, "energy")
+            slope_guides(axes)
+        _legend(figure, tables, quantity)
     return figure
 
 
 def draw_energy_over_time(tables: ScenarioTables) -> Figure:
     """At the default step, does the energy error stay bounded, drift or grow?"""
-    with _styled():
+    with styled():
         figure, panels = _panels("|energy error| / energy scale", "time (s)")
         for axes, precision in zip(panels, PRECISIONS, strict=True):
             axes.set_yscale("log")
@@ -123,7 +127,7 @@ def draw_energy_over_time(tables: ScenarioTables) -> Figure:
                 axes.set_xlim(0.0, series["t"][-1])
                 if np.isnan(size).all():
                     continue
-                look = LOOKS.get(method, _UNKNOWN)
+                look = look_of(method)
                 axes.plot(series["t"], size, color=look.colour, linestyle=look.line, lw=1.0)
             if not axes.get_lines():
                 _say(axes, "no method shows any energy error")
@@ -137,7 +141,7 @@ def draw_energy_over_time(tables: ScenarioTables) -> Figure:
 def draw_motion(tables: ScenarioTables) -> Figure:
     """What does the motion look like at the default step, and who leaves it?"""
     picture = _PICTURES[tables.scenario["family"]]
-    with _styled():
+    with styled():
         figure = Figure(figsize=(7.2, 3.9))
         FigureCanvasAgg(figure)
         axes = figure.add_axes((0.105, 0.13, 0.525, 0.78))
@@ -148,9 +152,11 @@ def draw_motion(tables: ScenarioTables) -> Figure:
         axes.plot(x, y, color="#cfcfcf", lw=5, solid_capstyle="round", label="Reference", zorder=1)
         for method in tables.methods:
             path = _line(tables.motion, method, "float64").filter(pl.col("body") == body)
-            look = LOOKS.get(method, _UNKNOWN)
+            look = look_of(method)
             mx, my = picture.curve(path, size)
-            axes.plot(mx, my, color=look.colour, linestyle=look.line, lw=0.9, label=_title(method))
+            axes.plot(
+                mx, my, color=look.colour, linestyle=look.line, lw=0.9, label=method_title(method)
+            )
         axes.set_xlabel(picture.x_label)
         axes.set_ylabel(picture.y_label)
         title = f"{body}, float64, dt = {tables.default_step:g} s"
@@ -205,7 +211,7 @@ _PICTURES: dict[str, Picture] = {
 def save(figure: Figure, path: Path, ending: str) -> None:
     """Write a figure as "svg" or "png"; the same figure gives the same bytes."""
     metadata = {"Date": None} if ending == "svg" else {}
-    with _styled():
+    with styled():
         figure.savefig(path, format=ending, metadata=metadata)
 
 
@@ -213,7 +219,8 @@ def save(figure: Figure, path: Path, ending: str) -> None:
 
 
 @contextmanager
-def _styled() -> Iterator[None]:
+def styled() -> Iterator[None]:
+    """The style of all figures."""
     style = resources.files("umbra_bench") / "report.mplstyle"
     with resources.as_file(style) as path, mpl.rc_context(fname=str(path)):
         yield
@@ -244,10 +251,12 @@ def _plot_against_dt(axes: Axes, tables: ScenarioTables, precision: str, column:
         )
         if good.is_empty():
             continue
-        look = LOOKS.get(method, _UNKNOWN)
+        look = look_of(method)
         axes.plot(
             good["dt"], good[column], color=look.colour, linestyle=look.line, marker=look.marker
         )
+    if not axes.get_lines():
+        _say(axes, "no error to show:\nall are zero or not finite")
 
 
 def _say(axes: Axes, text: str) -> None:
@@ -280,7 +289,7 @@ def _finish_log_panels(panels: list[Axes], floor: float, label: str) -> None:
     )
 
 
-def _slope_guides(axes: Axes) -> None:
+def slope_guides(axes: Axes) -> None:
     """Short lines of slope 1, 2 and 4, labelled, in the lower right corner."""
     low, high = axes.get_ylim()
     left, right = axes.get_xlim()
@@ -308,10 +317,10 @@ def _legend(figure: Figure, tables: ScenarioTables, quantity: str | None) -> Non
     """All methods, with their observed order in float64 where a quantity is given."""
     handles, labels = [], []
     for method in tables.methods:
-        look = LOOKS.get(method, _UNKNOWN)
+        look = look_of(method)
         style = {"color": look.colour, "linestyle": look.line}
         handles.append(mpl.lines.Line2D([], [], marker=look.marker if quantity else "", **style))
-        labels.append(_title(method) + (_order(tables, method, quantity) if quantity else ""))
+        labels.append(method_title(method) + (_order(tables, method, quantity) if quantity else ""))
     title = "method (observed order, float64)" if quantity else None
     figure.legend(
         handles,
@@ -333,10 +342,6 @@ def _order(tables: ScenarioTables, method: str, quantity: str) -> str:
     if row.is_empty() or not math.isfinite(row["order"][0]):
         return " (none)"
     return f" ({row['order'][0]:.2f})"
-
-
-def _title(method: str) -> str:
-    return METHODS[method].title if method in METHODS else method
 
 
 def _line(table: pl.DataFrame, method: str, precision: str) -> pl.DataFrame:

@@ -7,15 +7,16 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-import jinja2
 import polars as pl
 
 from umbra_bench import findings, plots
+from umbra_bench.claims.record import load_claims
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.parallel import map_in_processes
 from umbra_bench.plots import ScenarioTables
 from umbra_bench.results import described, load_json, load_table, replacing
 from umbra_bench.study import Study
+from umbra_bench.wording import render
 
 FIGURES: dict[str, tuple[str, Callable[[ScenarioTables], Any]]] = {
     "error": ("Error against step size", plots.draw_error),
@@ -104,16 +105,9 @@ def _bundles(
 
 def render_page(tables: list[ScenarioTables], results: Path) -> str:
     """The page in Markdown."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("umbra_bench", "templates"),
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-        autoescape=False,  # noqa: S701  # Markdown: the filter `text` escapes what a scenario's author wrote
-    )
-    environment.filters.update(text=markdown_text, number=number)
-    return environment.get_template("index.md.j2").render(
-        findings=findings.paragraph(tables),
+    return render(
+        "index.md.j2",
+        findings=findings.paragraph(tables, _claims(results)),
         scenarios=[
             {
                 "tables": t,
@@ -136,16 +130,9 @@ def render_page(tables: list[ScenarioTables], results: Path) -> str:
     )
 
 
-def markdown_text(text: str) -> str:
-    """Text that shows as it was written, whatever markup it holds."""
-    for character in "\\`*_{}[]<>()#+-.!|&~$":
-        text = text.replace(character, f"\\{character}")
-    return " ".join(text.split())
-
-
-def number(value: float | None, digits: int = 2) -> str:
-    """A number for people: three figures where they say enough, powers of ten elsewhere."""
-    return findings.number(value, digits)
+def _claims(results: Path) -> dict[str, Any] | None:
+    """What `umbra-bench claims` found, where it was run."""
+    return load_claims(results) if (results / "claims.json").is_file() else None
 
 
 def _draw(job: tuple[ScenarioTables, str, Path]) -> Path:

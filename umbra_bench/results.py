@@ -63,12 +63,21 @@ def save_study(study: Study, folder: Path = RESULTS) -> None:
         zip(TABLES, (study.runs, study.orders, study.references, study.skips), strict=True)
     )
     for name, table in tables.items():
-        _write(folder / f"{name}.csv", table.write_csv)
-        _write(folder / f"{name}.parquet", table.write_parquet)
+        save_table(table, name, folder)
     for name, table in zip(SERIES, (study.motion, study.energy), strict=True):
         _write(folder / f"{name}.parquet", table.write_parquet)
     save_json(described(study.scenarios), folder / "scenarios.json")
     save_json(environment(study.scenarios), folder / "environment.json")
+
+
+def save_table(table: pl.DataFrame, name: str, folder: Path = RESULTS) -> None:
+    """Write a table as CSV and as Parquet.
+
+    Raises:
+        UmbraBenchError: as :func:`replacing`.
+    """
+    _write(folder / f"{name}.csv", table.write_csv)
+    _write(folder / f"{name}.parquet", table.write_parquet)
 
 
 def described(scenarios: list[Scenario]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 - :mod:`bodies`: body definitions, inverse mass, inertia of shapes, and the arrays of many bodies;
 - :mod:`pipeline`: the four stages, and the step that composes them as published;
 - :mod:`repaired`: the same stages in the order that makes them second order;
+- :mod:`uncorrected`: the published step without its a dt^2/2, to see what the term does;
 - :mod:`service`: the door that a game uses.
 """
 

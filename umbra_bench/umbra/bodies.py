@@ -156,8 +156,8 @@ class UmbraState(NamedTuple):
     @classmethod
     def at(cls, position: Array, velocity: Array) -> UmbraState:
         """A state as created: nothing accumulated, no acceleration stored."""
-        zero = velocity.__array_namespace__().zeros_like(velocity)
-        return cls(position, velocity, zero, zero)
+        zeros_like = velocity.__array_namespace__().zeros_like
+        return cls(position, velocity, zeros_like(velocity), zeros_like(velocity))
 
     @classmethod
     def of(cls, definitions: Sequence[BodyDefinition], dtype: Any = np.float32) -> UmbraState:

@@ -1,0 +1,174 @@
+"""The figures of the claims page, drawn from the curves on disk alone; each answers one question."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import polars as pl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from umbra_bench.plots import LOOKS, look_of, slope_guides, styled
+from umbra_bench.wording import method_title
+
+
+def _series(curves: pl.DataFrame, proof: str) -> Iterator[tuple[str, pl.DataFrame]]:
+    table = curves.filter(pl.col("proof") == proof)
+    for name in table["series"].unique(maintain_order=True):
+        yield name, table.filter(pl.col("series") == name)
+
+
+def _one_panel(x_label: str, y_label: str) -> tuple[Figure, Axes]:
+    """One panel with room for a legend on the right."""
+    figure = Figure(figsize=(7.2, 3.9))
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((0.1, 0.13, 0.56, 0.82))
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+    return figure, axes
+
+
+def _legend(figure: Figure, axes: Axes) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="center left", bbox_to_anchor=(0.68, 0.53))
+
+
+def draw_stability(curves: pl.DataFrame) -> Figure:
+    """Up to which omega dt does a method not grow?"""
+    with styled():
+        figure, axes = _one_panel("ω dt", "growth per step")
+        for i, (name, table) in enumerate(_series(curves, "stability")):
+            method, _, damped = name.partition(", ")
+            label = method_title(method) + (f", {damped}" if damped else "")
+            look = look_of(method)
+            axes.plot(table["x"], table["predicted"], color="#cfcfcf", lw=4, zorder=1)
+            axes.plot(
+                table["x"],
+                table["measured"],
+                color=look.colour,
+                linestyle=(0, (1, 1.2)) if damped else look.line,
+                marker=look.marker,
+                markevery=(i, 9),
+                label=label,
+            )
+        axes.plot([], [], color="#cfcfcf", lw=4, label="theory")
+        axes.axhline(1.0, color="#777777", lw=0.7)
+        axes.set_xlim(0.0, 3.5)
+        axes.set_ylim(0.4, 3.0)
+        _legend(figure, axes)
+    return figure
+
+
+def draw_backward_error(curves: pl.DataFrame) -> Figure:
+    """Does the energy error follow the prediction?"""
+    with styled():
+        found = list(_series(curves, "backward-error"))
+        figure = Figure(figsize=(9.2, 4.4))
+        FigureCanvasAgg(figure)
+        panels = figure.subplots(2, math.ceil(len(found) / 2), sharex=True).ravel()
+        for axes, (method, table) in zip(panels, found, strict=False):
+            axes.plot(table["x"], table["predicted"], color="#bbbbbb", lw=4, label="predicted")
+            axes.plot(
+                table["x"], table["measured"], color=look_of(method).colour, lw=1, label="measured"
+            )
+            axes.set_title(method_title(method), loc="left")
+            axes.ticklabel_format(axis="y", scilimits=(0, 0))
+            axes.yaxis.get_offset_text().set_fontsize(7)
+            axes.yaxis.get_offset_text().set_x(-0.12)
+            axes.tick_params(labelsize=7)
+        for axes in panels[len(found) :]:
+            axes.axis("off")
+            axes.plot([], [], color="#bbbbbb", lw=4, label="predicted")
+            axes.plot([], [], color="#000000", lw=1, label="measured")
+            axes.legend(loc="center")
+        figure.supxlabel("time (s), two periods of the spring", fontsize=9)
+        figure.supylabel("energy error / energy", fontsize=9)
+        figure.tight_layout()
+    return figure
+
+
+def draw_precision(curves: pl.DataFrame) -> Figure:
+    """In float32, below which step does a shorter one make things worse?"""
+    with styled():
+        figure, axes = _one_panel("step dt (s)", "largest position error / size of the motion")
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        looks = list(LOOKS.values())
+        for i, (name, table) in enumerate(_series(curves, "precision")):
+            table = table.sort("x").filter(pl.col("measured").is_finite())
+            look = looks[i % len(looks)]
+            line = "-" if i < len(looks) else (0, (3, 1.5))
+            axes.plot(table["x"], table["measured"], color=look.colour, linestyle=line, label=name)
+            best = table.sort("measured").head(1)
+            axes.plot(best["x"], best["measured"], color=look.colour, marker="o")
+        axes.plot([], [], color="#444444", marker="o", lw=0, label="least error")
+        axes.set_ylim(top=3.0)
+        _legend(figure, axes)
+    return figure
+
+
+def draw_rounding(curves: pl.DataFrame) -> Figure:
+    """How does the rounding of float32 grow with time?"""
+    with styled():
+        figure, axes = _one_panel("time (s)", "float32 minus float64, so far at most")
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        colours: dict[str, str] = {}
+        for name, table in _series(curves, "rounding-growth"):
+            scenario, _, quantity = name.partition(", ")
+            palette = [look.colour for look in LOOKS.values()]
+            colour = colours.setdefault(scenario, palette[len(colours)])
+            line = "-" if quantity == "energy" else (0, (4, 1.5))
+            unit = "energy / scale" if quantity == "energy" else "position (m)"
+            axes.plot(
+                table["x"],
+                table["measured"],
+                color=colour,
+                linestyle=line,
+                label=f"{scenario}, {unit}",
+            )
+        _growth_guides(axes)
+        _legend(figure, axes)
+    return figure
+
+
+def _growth_guides(axes: Axes) -> None:
+    """Lines of growth as t^(1/2) and as t."""
+    (left, right), (low, _) = axes.get_xlim(), axes.get_ylim()
+    for power, text in ((0.5, "√t"), (1.0, "t")):
+        begin, end = left * 3, right / 3
+        axes.plot([begin, end], [low, low * (end / begin) ** power], color="#999999", lw=0.7)
+        axes.annotate(text, (end, low * (end / begin) ** power), fontsize=7, color="#777777")
+
+
+def draw_repair(curves: pl.DataFrame) -> Figure:
+    """Which half of the repair makes the pipeline second order?"""
+    with styled():
+        figure, axes = _one_panel("step dt (s)", "largest position error on the spring (m)")
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        for method, table in _series(curves, "repair"):
+            look = look_of(method)
+            axes.plot(
+                table["x"],
+                table["measured"],
+                color=look.colour,
+                linestyle=look.line,
+                marker=look.marker,
+                label=method_title(method),
+            )
+        slope_guides(axes)
+        _legend(figure, axes)
+    return figure
+
+
+FIGURES: dict[str, Callable[[pl.DataFrame], Figure]] = {
+    "stability": draw_stability,
+    "backward-error": draw_backward_error,
+    "precision": draw_precision,
+    "rounding-growth": draw_rounding,
+    "repair": draw_repair,
+}
+"""The figure of each proof that has curves."""

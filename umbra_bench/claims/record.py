@@ -1,0 +1,57 @@
+"""What was measured, on disk beside the other results."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from umbra_bench.errors import UmbraBenchError
+from umbra_bench.results import RESULTS, load_json, save_json, save_table
+
+FORMAT = "umbra-bench claims 1"
+
+CURVES_SCHEMA: dict[str, Any] = {
+    "proof": pl.String,
+    "series": pl.String,
+    "x": pl.Float64,
+    "measured": pl.Float64,
+    "predicted": pl.Float64,
+}
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was measured: a document for the page, and a table of the curves of its figures."""
+
+    document: dict[str, Any]
+    curves: pl.DataFrame
+
+
+def save_claims(found: Found, folder: Path = RESULTS) -> None:
+    """Write `claims.json` and the curves.
+
+    Raises:
+        UmbraBenchError: the folder cannot be written.
+    """
+    save_table(found.curves, "claims_curves", folder)
+    save_json(found.document, folder / "claims.json")
+
+
+def load_claims(folder: Path = RESULTS) -> dict[str, Any]:
+    """Read `claims.json`.
+
+    Raises:
+        UmbraBenchError: it is missing or of another kind.
+    """
+    path = folder / "claims.json"
+    if not path.is_file():
+        raise UmbraBenchError(f"{path}: missing; run `umbra-bench claims` (or `make claims`) first")
+    document = load_json(path)
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise UmbraBenchError(
+            f"{path}: not written by this version; run `umbra-bench claims` again"
+        )
+    return document
