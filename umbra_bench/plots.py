@@ -43,8 +43,6 @@ LOOKS: dict[str, Look] = {
     "yoshida4": Look("#CC79A7", "-", "P"),
     "umbra": Look("#000000", (0, (4, 1.5)), "o"),
     "umbra-repaired": Look("#0072B2", (0, (4, 1.5)), "X"),
-    "umbra-primed": Look("#777777", "-", "^"),
-    "umbra-swapped": Look("#E69F00", "-", "s"),
     "pymunk": Look("#8C5A2B", (0, (1, 1)), "<"),
     "pymunk-velocity-func": Look("#777777", (0, (1, 1)), ">"),
     "pymunk-spring": Look("#AAAAAA", (0, (3, 1, 1, 1)), "*"),

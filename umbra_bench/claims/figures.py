@@ -10,8 +10,15 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from umbra_bench.plots import LOOKS, look_of, slope_guides, styled
+from umbra_bench.plots import LOOKS, Look, look_of, slope_guides, styled
 from umbra_bench.wording import method_title
+
+
+_HALVES = {
+    "umbra-primed": Look("#777777", "-", "^"),
+    "umbra-swapped": Look("#E69F00", (0, (4, 1.5)), "p"),
+}
+"""The looks of the halves of the repair, which no other figure shows."""
 
 
 def _series(curves: pl.DataFrame, proof: str) -> Iterator[tuple[str, pl.DataFrame]]:
@@ -150,7 +157,7 @@ def draw_repair(curves: pl.DataFrame) -> Figure:
         axes.set_xscale("log")
         axes.set_yscale("log")
         for method, table in _series(curves, "repair"):
-            look = look_of(method)
+            look = _HALVES.get(method) or look_of(method)
             axes.plot(
                 table["x"],
                 table["measured"],
