@@ -8,7 +8,7 @@ READY := $(VENV)/.ready
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup report study gate claims showcase test check bench clean
+.PHONY: help setup engines report study gate claims showcase test check bench clean
 
 help:  ## list the targets
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z]+:.*## / {printf "  %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -22,6 +22,10 @@ $(READY): pyproject.toml constraints.txt
 	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check \
 		--editable '.[dev]'
 	@touch $@
+
+engines: $(READY)  ## install Box2D, Bullet, PhysX and MuJoCo beside pymunk
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check \
+		--editable '.[dev,engines]'
 
 study: $(READY)  ## sweep all methods over all scenarios into results/
 	$(BIN)/umbra-bench study

@@ -107,9 +107,10 @@ def study(
 ) -> None:
     """Sweep methods over scenarios and step sizes; write the tables into results/."""
     _prepare()
+    from umbra_bench.engine_table import examine_engines
     from umbra_bench.results import save_study
     from umbra_bench.scenario import list_scenarios, load_scenario
-    from umbra_bench.study import run_study
+    from umbra_bench.study import methods_of_study, run_study
 
     loaded = [load_scenario(name) for name in scenarios or list_scenarios()]
     with _progress("Study") as listener:
@@ -121,7 +122,9 @@ def study(
             processes=None,
             listener=listener,
         )
-    save_study(found, results)
+    with _progress("Engines") as listener:
+        engines = examine_engines(methods_of_study(methods), processes=None, listener=listener)
+    save_study(found, results, engines)
     click.echo(f"{found.runs.height} runs in {results}/study.csv, orders in {results}/orders.csv")
 
 
@@ -135,6 +138,18 @@ def report(results: Path, output: Path) -> None:
     with _progress("Report") as listener:
         page = write_report(results, output, listener)
     click.echo(f"{page}")
+
+
+@cli.command()
+@click.argument("method")
+@click.argument("scenarios", nargs=-1, metavar="[SCENARIO ...]")
+def identify(method: str, scenarios: tuple[str, ...]) -> None:
+    """Tell which textbook integrator METHOD is, from its trajectories."""
+    _prepare()
+    from umbra_bench.identify import examine, print_examination
+    from umbra_bench.scenario import load_scenario
+
+    print_examination(examine(method, [load_scenario(name) for name in scenarios]))
 
 
 @cli.command()

@@ -6,6 +6,7 @@ Only names and facts live here, so that listing the methods imports no numerical
 
 from __future__ import annotations
 
+import importlib.util
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,7 +20,8 @@ class Method:
     """One thing that is measured.
 
     `precision` is the precision that an engine keeps for itself, or None where the caller chooses.
-    `studied` is false for what a study runs only when it is named.
+    `studied` is false for what a study runs only when it is named. `package` is what a foreign engine
+    imports, and `distribution` what installs it.
     """
 
     name: str
@@ -27,6 +29,26 @@ class Method:
     kind: Kind
     precision: str | None = None
     studied: bool = True
+    package: str | None = None
+    distribution: str | None = None
+
+    @property
+    def installed(self) -> bool:
+        """Whether what it imports is there."""
+        return self.package is None or importlib.util.find_spec(self.package) is not None
+
+    @property
+    def missing(self) -> str:
+        """How to come by it, where it is not installed."""
+        return (
+            f"the engine needs {self.distribution}, which is not installed; `make engines` or "
+            "`pip install 'umbra-bench[engines]'` installs it"
+        )
+
+
+def _engine(name: str, title: str, precision: str, package: str) -> Method:
+    """A foreign engine, whose package and distribution share a name."""
+    return Method(name, title, "engine", precision, package=package, distribution=package)
 
 
 METHODS: dict[str, Method] = {
@@ -43,9 +65,14 @@ METHODS: dict[str, Method] = {
         Method("umbra-swapped", "UMBRA, phases swapped alone", "umbra", studied=False),
         Method("umbra-uncorrected", "UMBRA without a dt²/2", "umbra", studied=False),
         Method("umbra-service", "UMBRA, as a game calls it", "engine", "float32", studied=False),
-        Method("pymunk", "pymunk, force before step", "engine", "float64"),
-        Method("pymunk-velocity-func", "pymunk, force in callback", "engine", "float64"),
-        Method("pymunk-spring", "pymunk, its own spring", "engine", "float64"),
+        _engine("pymunk", "pymunk, force before step", "float64", "pymunk"),
+        _engine("pymunk-velocity-func", "pymunk, force in callback", "float64", "pymunk"),
+        _engine("pymunk-spring", "pymunk, its own spring", "float64", "pymunk"),
+        _engine("box2d", "Box2D", "float32", "Box2D"),
+        _engine("bullet", "Bullet", "float64", "pybullet"),
+        _engine("physx", "PhysX 5", "float32", "sapien"),
+        _engine("mujoco-euler", "MuJoCo, Euler", "float64", "mujoco"),
+        _engine("mujoco-rk4", "MuJoCo, Runge-Kutta 4", "float64", "mujoco"),
         Method("reference", "Reference (Dopri8)", "reference", "float64", studied=False),
     )
 }

@@ -46,6 +46,11 @@ LOOKS: dict[str, Look] = {
     "pymunk": Look("#8C5A2B", (0, (1, 1)), "<"),
     "pymunk-velocity-func": Look("#777777", (0, (1, 1)), ">"),
     "pymunk-spring": Look("#AAAAAA", (0, (3, 1, 1, 1)), "*"),
+    "box2d": Look("#7A3E9D", (0, (1, 1)), "s"),
+    "bullet": Look("#B22222", (0, (1, 1)), "d"),
+    "physx": Look("#5A7D00", (0, (1, 1)), "p"),
+    "mujoco-euler": Look("#0B5351", (0, (1, 1)), "h"),
+    "mujoco-rk4": Look("#3D5AFE", (0, (1, 1)), "8"),
 }
 _UNKNOWN = Look("#444444", (0, (5, 1, 1, 1, 1, 1)), "h")
 

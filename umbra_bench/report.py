@@ -124,10 +124,18 @@ def render_page(tables: list[ScenarioTables], results: Path) -> str:
         ],
         orders=findings.order_table(tables),
         drifts=findings.drift_table(tables),
+        engines=_engines(results),
         references=[t.reference for t in tables],
         skips=load_table("skips", results).to_dicts(),
         environment=load_json(results / "environment.json"),
     )
+
+
+def _engines(results: Path) -> list[dict[str, Any]]:
+    """The engines side by side, where a study compared any."""
+    if not (results / "engines.parquet").is_file():
+        return []
+    return load_table("engines", results).to_dicts()
 
 
 def _claims(results: Path) -> dict[str, Any] | None:

@@ -28,7 +28,8 @@ TABLES = ("study", "orders", "references", "skips")
 SERIES = ("motion", "energy")
 """Tables of trajectories: Parquet alone, for pictures."""
 
-_PACKAGES = ("umbra-bench", "numpy", "scipy", "jax", "jaxlib", "diffrax", "pymunk", "polars")
+_ENGINES = ("pymunk", "Box2D", "pybullet", "sapien", "mujoco")
+_PACKAGES = ("umbra-bench", "numpy", "scipy", "jax", "jaxlib", "diffrax", "polars", *_ENGINES)
 
 
 @contextlib.contextmanager
@@ -53,8 +54,8 @@ def replacing(path: Path) -> Iterator[Path]:
         raise UmbraBenchError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def save_study(study: Study, folder: Path = RESULTS) -> None:
-    """Write a study's tables and its environment into a folder.
+def save_study(study: Study, folder: Path = RESULTS, engines: pl.DataFrame | None = None) -> None:
+    """Write a study's tables and its environment into a folder, and what engines were found to be.
 
     Raises:
         UmbraBenchError: as :func:`replacing`.
@@ -64,6 +65,8 @@ def save_study(study: Study, folder: Path = RESULTS) -> None:
     )
     for name, table in tables.items():
         save_table(table, name, folder)
+    if engines is not None:
+        save_table(engines, "engines", folder)
     for name, table in zip(SERIES, (study.motion, study.energy), strict=True):
         _write(folder / f"{name}.parquet", table.write_parquet)
     save_json(described(study.scenarios), folder / "scenarios.json")
@@ -130,9 +133,17 @@ def environment(scenarios: list[Scenario]) -> dict[str, Any]:
         "platform": f"{platform.system()} {platform.machine()}",
         "processor": processor(),
         "cores": os.cpu_count(),
-        "packages": {name: metadata.version(name) for name in _PACKAGES},
+        "packages": {name: metadata.version(name) for name in _PACKAGES if _is_installed(name)},
         "scenarios": {scenario.name: scenario_hash(scenario) for scenario in scenarios},
     }
+
+
+def _is_installed(distribution: str) -> bool:
+    try:
+        metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
 
 
 def processor() -> str:

@@ -177,12 +177,8 @@ def run_study(
     """
     scenarios = _distinct(scenarios)
     precisions = list(dict.fromkeys(precisions))
-    names = list(dict.fromkeys(methods)) or [n for n, method in METHODS.items() if method.studied]
-    for name in names:
-        if find_method(name).kind == "reference":
-            raise UmbraBenchError(
-                "--method 'reference': it is what the others are measured against; allowed: all others"
-            )
+    names = methods_of_study(methods)
+    missing = [n for n, m in METHODS.items() if m.studied and not m.installed and not methods]
     if quick:
         scenarios = [
             s.with_sweep(s.dt.start, min(s.dt.halvings, QUICK_HALVINGS)) for s in scenarios
@@ -200,11 +196,34 @@ def run_study(
     ):
         parts.append(part)
         listener(scenario.name, len(parts), len(scenarios))
-    tables = (
-        pl.concat([getattr(part, name) for part in parts])
+    tables = {
+        name: pl.concat([getattr(part, name) for part in parts])
         for name in ("runs", "orders", "references", "skips", "motion", "energy")
-    )
-    return Study(scenarios, *tables)
+    }
+    absent = [
+        {"scenario": "all", "method": name, "reason": METHODS[name].missing} for name in missing
+    ]
+    tables["skips"] = pl.concat([pl.DataFrame(absent, SKIPS_SCHEMA), tables["skips"]])
+    return Study(scenarios, **tables)
+
+
+def methods_of_study(methods: Sequence[str] = ()) -> list[str]:
+    """The methods that a study runs: those named, or all that are studied unasked and installed.
+
+    Raises:
+        UmbraBenchError: a name that is none, is not installed or takes no steps.
+    """
+    names = list(dict.fromkeys(methods)) or [
+        name for name, method in METHODS.items() if method.studied and method.installed
+    ]
+    for name in names:
+        if not find_method(name).installed:
+            raise UmbraBenchError(f"--method {name!r}: {METHODS[name].missing}")
+        if METHODS[name].kind == "reference":
+            raise UmbraBenchError(
+                "--method 'reference': it is what the others are measured against; allowed: all others"
+            )
+    return names
 
 
 def _distinct(scenarios: Sequence[Scenario]) -> list[Scenario]:

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from umbra_bench.plots import LOOKS, Look, look_of, slope_guides, styled
 from umbra_bench.wording import method_title
 
-
 _HALVES = {
     "umbra-primed": Look("#777777", "-", "^"),
     "umbra-swapped": Look("#E69F00", (0, (4, 1.5)), "p"),

@@ -9,6 +9,7 @@ from umbra_bench.analysis.stability import largest_stable_step, measured_growth
 from umbra_bench.analysis.symplectic import ROUNDING, symplectic_defect
 from umbra_bench.claims.lab import Lab, distance_from, particle
 from umbra_bench.claims.statement import Evidence, Waiting, at_least, at_most, statement
+from umbra_bench.identify import MATCH, identify
 from umbra_bench.methods import METHODS
 from umbra_bench.simulation import simulate
 from umbra_bench.wording import number
@@ -250,5 +251,34 @@ def semi_implicit_stable_orbit(lab: Lab) -> Evidence:
     "Box2D, Bullet and PhysX use a variant of symplectic integration.",
 )
 def engines_use_it(lab: Lab) -> Evidence:
-    missing = [name for name in ("box2d", "bullet", "physx") if name not in METHODS]
-    raise Waiting(f"Not measured yet: this harness has no adapter for {', '.join(missing)}.")
+    engines = ("box2d", "bullet", "physx")
+    missing = [METHODS[name].missing for name in engines if not METHODS[name].installed]
+    if missing:
+        raise Waiting(f"Not measured: {missing[0]}.")
+    found = {METHODS[name].title: identify(name) for name in engines}
+    distances = {
+        title: min(c.position for c in identity.comparisons if c.candidate in SYMPLECTIC)
+        for title, identity in found.items()
+    }
+    answers = "; ".join(f"{title}: {identity.integrator}" for title, identity in found.items())
+    return Evidence(
+        required=tuple(
+            at_most(
+                f"positions of {title} from the nearest symplectic integrator's, in round-off",
+                distance,
+                MATCH,
+            )
+            for title, distance in distances.items()
+        ),
+        holds=f"Their trajectories say so to round-off. {answers}.",
+        fails=f"Their trajectories say: {answers}.",
+    )
+
+
+SYMPLECTIC = (
+    "semi-implicit-euler",
+    "drift-kick",
+    "velocity-verlet",
+    "drift-kick-drift",
+    "yoshida4",
+)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import Protocol
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from umbra_bench.compiled import Observables, Recording
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.jax_settings import float64_allowed
+from umbra_bench.methods import find_method
 from umbra_bench.reference import observe_all
 from umbra_bench.scenario import Scenario
 from umbra_bench.system import System, build_system, initial_state
@@ -47,15 +49,27 @@ def open_engine(method: str, scenario: Scenario) -> Engine:
         UnsupportedScenario: the engine cannot run this scenario; the message says why.
         UmbraBenchError: the engine is not installed; the message says how to install it.
     """
-    if method.startswith("pymunk"):
-        from umbra_bench.engines.pymunk import MODES
+    if not (known := find_method(method)).installed:
+        raise UmbraBenchError(f"--method {method!r}: {known.missing}")
+    module, name = _HOMES[method]
+    engine: Engine = getattr(importlib.import_module(f"umbra_bench.engines.{module}"), name)(
+        scenario
+    )
+    return engine
 
-        return MODES[method](scenario)
-    if method == "umbra-service":
-        from umbra_bench.engines.umbra_service import UmbraService
 
-        return UmbraService(scenario)
-    raise UmbraBenchError(f"--method {method!r}: there is no engine of that name")
+_HOMES = {
+    "umbra-service": ("umbra_service", "UmbraService"),
+    "pymunk": ("pymunk", "ForceBeforeStep"),
+    "pymunk-velocity-func": ("pymunk", "ForceInCallback"),
+    "pymunk-spring": ("pymunk", "OwnSprings"),
+    "box2d": ("box2d", "Box2DWorld"),
+    "bullet": ("bullet", "BulletWorld"),
+    "physx": ("physx", "PhysXWorld"),
+    "mujoco-euler": ("mujoco", "Euler"),
+    "mujoco-rk4": ("mujoco", "RungeKutta4"),
+}
+"""The module and the class of every engine; a module is imported when its engine is asked for."""
 
 
 class EngineRun:

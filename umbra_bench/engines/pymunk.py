@@ -156,10 +156,3 @@ def _create(definition: BodyDefinition) -> pymunk.Body:
         body.velocity = definition.velocity
         body.angular_velocity = definition.angular_velocity
     return body
-
-
-MODES: dict[str, type[_Pymunk]] = {
-    "pymunk": ForceBeforeStep,
-    "pymunk-velocity-func": ForceInCallback,
-    "pymunk-spring": OwnSprings,
-}
