@@ -53,6 +53,7 @@ check: $(READY)  ## formatting, lint and types
 
 bench: $(READY)  ## measure speed, as ratios within one run
 	$(BIN)/python benchmarks/step_cost.py
+	$(BIN)/python benchmarks/engine_overhead.py
 
 clean:  ## remove everything generated, .venv included
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis build

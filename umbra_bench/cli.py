@@ -184,12 +184,14 @@ def claims(only: tuple[str, ...], method: str, results: Path, output: Path) -> N
 @click.option(
     "--baseline",
     type=click.Path(path_type=Path, dir_okay=False),
-    default="results/baseline.json",
-    show_default=True,
+    help="Default: results/baseline.json, this project's own.",
 )
 @click.option("--results", type=_FOLDER, default="results", show_default=True)
 @click.option("--self-test", is_flag=True, help="Break the integrators on purpose, one at a time.")
-def gate(update: bool, baseline: Path, results: Path, self_test: bool) -> int:
+@click.option("--method", "methods", multiple=True, help="Judge this engine of yours alone.")
+def gate(
+    update: bool, baseline: Path | None, results: Path, self_test: bool, methods: tuple[str, ...]
+) -> int:
     """Judge the integrators against a committed baseline: exit 0 good, 1 worse, 2 not judged."""
     _prepare()
     from umbra_bench import gate as judge
@@ -199,8 +201,11 @@ def gate(update: bool, baseline: Path, results: Path, self_test: bool) -> int:
         from umbra_bench.self_test import print_self_test
 
         return print_self_test()
+    if methods and baseline is None:
+        raise click.UsageError("--method needs a --baseline FILE of its own")
+    baseline = baseline or judge.BASELINE
     known = None if update and not baseline.is_file() else judge.load_baseline(baseline)
-    lines = judge.planned_lines(judge.budgeted_scenarios())
+    lines = judge.lines_of(methods) if methods else judge.planned_lines(judge.budgeted_scenarios())
     with _progress("Gate") as listener:
         measured = judge.measure_lines(lines, listener, processes=None)
     judgements = judge.judge(measured, known, whole=True) if known is not None else []

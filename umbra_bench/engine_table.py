@@ -10,7 +10,7 @@ import polars as pl
 
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.identify import examine
-from umbra_bench.methods import METHODS
+from umbra_bench.methods import find_method
 from umbra_bench.parallel import map_in_processes
 
 ENGINES_SCHEMA: dict[str, Any] = {
@@ -35,8 +35,8 @@ def examine_engines(
 
     Without a foreign engine among them there is nothing to compare: no rows.
     """
-    wanted = [name for name in methods if METHODS[name].kind in ("umbra", "engine")]
-    if all(METHODS[name].kind == "umbra" for name in wanted):
+    wanted = [name for name in methods if find_method(name).kind in ("umbra", "engine")]
+    if all(find_method(name).kind == "umbra" for name in wanted):
         wanted = []
     rows = []
     for name, row in zip(wanted, map_in_processes(_row, wanted, processes), strict=True):
@@ -50,11 +50,11 @@ def _row(method: str) -> dict[str, Any] | None:
         found = examine(method)
     except UmbraBenchError:  # it runs none of the scenarios: the study's skips say why
         return None
-    distribution = METHODS[method].distribution
+    distribution = find_method(method).distribution
     return {
         "method": method,
         "version": metadata.version(distribution) if distribution else "",
-        "precision": METHODS[method].precision or "either",
+        "precision": find_method(method).precision or "either",
         "integrator": found.identity.integrator,
         "velocity": found.identity.velocity,
         "position_order": found.position_order,

@@ -18,6 +18,10 @@ class UnsupportedScenario(UmbraBenchError):
     """A method that cannot run a scenario, with the reason; a study records it as a skip."""
 
 
+class EngineFailed(UmbraBenchError):
+    """An engine in another process that died, was silent or answered nonsense: a result, too."""
+
+
 def hint(word: object, known: Iterable[str], label: str = "allowed") -> str:
     """Return the end of a message: the known word nearest to `word`, if any, and all of them."""
     words = list(known)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 from dataclasses import dataclass
+from importlib import metadata
 from typing import Literal
 
 from umbra_bench.errors import UmbraBenchError, hint
@@ -80,13 +81,30 @@ METHODS: dict[str, Method] = {
 PRECISIONS = ("float32", "float64")
 
 
+BROUGHT = ("native:", "process:")
+"""How a method begins that names an engine which the reader brings: `native:PATH` is a shared library,
+`process:COMMAND` a program."""
+
+ENTRY_POINTS = "umbra_bench.engines"
+"""The group of entry points in which a package names its engines."""
+
+
 def find_method(name: str) -> Method:
-    """Return the method called `name`.
+    """Return the method called `name`: one of the table, or an engine that the reader brings.
 
     Raises:
         UmbraBenchError: no method has that name; the message suggests the nearest.
+        EngineFailed: an engine in another process that does not answer.
     """
-    try:
+    if name in METHODS:
         return METHODS[name]
-    except KeyError:
-        raise UmbraBenchError(f"--method {name!r} is not a method{hint(name, METHODS)}") from None
+    if name.startswith(BROUGHT):
+        from umbra_bench.engines.process import stated_precision
+
+        return Method(name, name, "engine", stated_precision(name), studied=False)
+    points = {point.name: point for point in metadata.entry_points(group=ENTRY_POINTS)}
+    if name in points:
+        precision = getattr(points[name].load(), "precision", "float64")
+        return Method(name, name, "engine", precision, studied=False)
+    known = [*METHODS, *points, *(f"{prefix}..." for prefix in BROUGHT)]
+    raise UmbraBenchError(f"--method {name!r} is not a method{hint(name, known)}") from None

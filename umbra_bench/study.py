@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from umbra_bench.errors import UmbraBenchError, UnsupportedScenario
+from umbra_bench.errors import EngineFailed, UmbraBenchError, UnsupportedScenario
 from umbra_bench.methods import METHODS, PRECISIONS, find_method
 from umbra_bench.metrics import (
     FLOOR_FACTOR,
@@ -186,7 +186,7 @@ def run_study(
     lines = [
         (name, precision)
         for name in names
-        for precision in (precisions if METHODS[name].precision is None else ["its own"])
+        for precision in (precisions if find_method(name).precision is None else ["its own"])
     ]
     parts = []
     for scenario, part in zip(
@@ -218,8 +218,8 @@ def methods_of_study(methods: Sequence[str] = ()) -> list[str]:
     ]
     for name in names:
         if not find_method(name).installed:
-            raise UmbraBenchError(f"--method {name!r}: {METHODS[name].missing}")
-        if METHODS[name].kind == "reference":
+            raise UmbraBenchError(f"--method {name!r}: {find_method(name).missing}")
+        if find_method(name).kind == "reference":
             raise UmbraBenchError(
                 "--method 'reference': it is what the others are measured against; allowed: all others"
             )
@@ -261,13 +261,13 @@ def _sweep(job: _Job) -> _Outcome:
     """All steps of one line of the sweep, and its orders."""
     scenario, reference = job.scenario, job.reference
     outcome = _Outcome([], [], [], [], [])
-    is_engine = METHODS[job.method].kind == "engine"
+    is_engine = find_method(job.method).kind == "engine"
     for dt in scenario.steps:
         if is_engine and round(scenario.duration / dt) > ENGINE_STEPS:
             continue
         try:
             trajectory = run_on_grid(scenario, reference, job.method, dt, job.precision)
-        except UnsupportedScenario as reason:
+        except (UnsupportedScenario, EngineFailed) as reason:
             outcome.skips.append(_skip(job, str(reason)))
             return outcome
         outcome.runs.append(measure(trajectory, reference))

@@ -101,7 +101,7 @@ class BulletWorld:
                 body, (vx, vy, 0.0), (0.0, 0.0, omega), physicsClientId=self._client
             )
 
-    def close(self) -> None:
+    def __del__(self) -> None:
         pybullet.disconnect(self._client)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from importlib import metadata
 from typing import Protocol
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from umbra_bench.compiled import Observables, Recording
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.jax_settings import float64_allowed
-from umbra_bench.methods import find_method
+from umbra_bench.methods import BROUGHT, ENTRY_POINTS, find_method
 from umbra_bench.reference import observe_all
 from umbra_bench.scenario import Scenario
 from umbra_bench.system import System, build_system, initial_state
@@ -51,10 +52,17 @@ def open_engine(method: str, scenario: Scenario) -> Engine:
     """
     if not (known := find_method(method)).installed:
         raise UmbraBenchError(f"--method {method!r}: {known.missing}")
-    module, name = _HOMES[method]
-    engine: Engine = getattr(importlib.import_module(f"umbra_bench.engines.{module}"), name)(
-        scenario
-    )
+    if method.startswith(BROUGHT):
+        from umbra_bench.engines.process import ProcessEngine
+
+        return ProcessEngine(method, scenario)
+    if method in _HOMES:
+        module, name = _HOMES[method]
+        kind = getattr(importlib.import_module(f"umbra_bench.engines.{module}"), name)
+    else:
+        (point,) = metadata.entry_points(group=ENTRY_POINTS, name=method)
+        kind = point.load()
+    engine: Engine = kind(scenario)
     return engine
 
 
