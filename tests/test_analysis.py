@@ -37,7 +37,7 @@ def test_a_pipeline_forgets_its_oldest_acceleration(method: str) -> None:
     assert np.linalg.det(oscillator.amplification(method, 0.7)) == pytest.approx(0.0, abs=1e-15)
 
 
-@pytest.mark.parametrize("method", oscillator.METHODS)
+@pytest.mark.parametrize("method", ["umbra", "umbra-repaired", "rk4"])
 def test_a_run_is_its_exact_discrete_solution(method: str) -> None:
     scenario = load_scenario("spring")
     run = simulate(scenario, method, 0.05, steps=1000)

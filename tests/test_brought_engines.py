@@ -101,7 +101,7 @@ def test_the_gate_of_an_engine_of_ones_own(
     library = tmp_path / "libtoy.so"
     library.write_bytes((built / "libtoy.so").read_bytes())
     gate = ("gate", "--method", "native:libtoy.so", "--baseline", "toy.json")
-    monkeypatch.setattr("umbra_bench.gate.ENGINE_SCENARIOS", ("spring", "torsion_spring"))
+    monkeypatch.setattr("umbra_bench.gate.ENGINE_SCENARIOS", ("elastic_pendulum",))
     monkeypatch.setattr("umbra_bench.parallel.os.cpu_count", lambda: 1)
     assert run_cli(*gate) == 2  # no baseline yet
     assert "there is no baseline" in capsys.readouterr().err
@@ -111,7 +111,7 @@ def test_the_gate_of_an_engine_of_ones_own(
     process.stated_precision.cache_clear()
     capsys.readouterr()
     assert run_cli(*gate) == 1
-    assert "spring/native:libtoy.so/float64" in capsys.readouterr().out
+    assert "elastic_pendulum/native:libtoy.so/float64" in capsys.readouterr().out
 
 
 def test_an_engines_gate_needs_a_baseline_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:

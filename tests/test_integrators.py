@@ -15,6 +15,7 @@ from problems import EPS, angles_apart, in_numpy, orbit, problem, spring, states
 from umbra_bench.compiled import COMPILED_METHODS
 from umbra_bench.integrators import INTEGRATORS
 from umbra_bench.jax_settings import float64_allowed
+from umbra_bench.methods import METHODS
 from umbra_bench.scenario import Scenario
 from umbra_bench.simulation import simulate
 from umbra_bench.state import State, angular_momentum, linear_momentum
@@ -24,7 +25,7 @@ from umbra_bench.umbra import UmbraState
 Load = Callable[[str], Scenario]
 
 SYMPLECTIC = ("semi-implicit-euler", "velocity-verlet", "yoshida4", "umbra-repaired")
-ALL = tuple(COMPILED_METHODS)
+ALL = tuple(name for name in COMPILED_METHODS if METHODS[name].studied)
 
 # The exact discrete solution of the spring --------------------------------------------------------
 

@@ -37,9 +37,9 @@ class BulletWorld:
     damps_itself = False
 
     def __init__(self, scenario: Scenario) -> None:
+        self._client = pybullet.connect(pybullet.DIRECT)
         bodies = SpatialBodies("bullet", scenario)
         self._force = compiled_force(scenario)
-        self._client = pybullet.connect(pybullet.DIRECT)
         pybullet.setGravity(0.0, 0.0, 0.0, physicsClientId=self._client)
         self._dt = 0.0
         self._dynamic = []
