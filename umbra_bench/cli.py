@@ -17,7 +17,7 @@ from typing import Any
 import click
 
 from umbra_bench.errors import UmbraBenchError
-from umbra_bench.methods import METHODS, PRECISIONS
+from umbra_bench.methods import METHODS, PRECISIONS, entry_points
 
 _PRECISION = click.Choice(PRECISIONS)
 _COUNT = click.IntRange(1, 2**62)
@@ -131,10 +131,16 @@ def study(
 @cli.command()
 @click.option("--results", type=_FOLDER, default="results", show_default=True)
 @click.option("--output", type=_FOLDER, default="reports", show_default=True)
-def report(results: Path, output: Path) -> None:
+@click.option("--summary", is_flag=True, help="Print an overview and draw nothing.")
+def report(results: Path, output: Path, summary: bool) -> None:
     """Draw the report from the tables in results/; simulates nothing."""
-    from umbra_bench.report import write_report
+    from umbra_bench.report import load_scenario_tables, write_report
 
+    if summary:
+        from umbra_bench.overview import print_overview
+
+        print_overview(load_scenario_tables(results))
+        return
     with _progress("Report") as listener:
         page = write_report(results, output, listener)
     click.echo(f"{page}")
@@ -252,7 +258,7 @@ def _scenario_rows() -> list[dict[str, Any]]:
 def _method_rows() -> list[dict[str, Any]]:
     return [
         {"name": m.name, "title": m.title, "kind": m.kind, "precision": m.precision}
-        for m in METHODS.values()
+        for m in [*METHODS.values(), *entry_points()]
     ]
 
 

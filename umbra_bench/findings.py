@@ -40,7 +40,7 @@ def order_table(tables: Sequence[ScenarioTables]) -> dict[str, Any]:
         "columns": [t.scenario["name"] for t in tables],
         "rows": [
             (method_title(method), [order_text(t, method, "float64", "position") for t in tables])
-            for method in _methods(tables)
+            for method in methods_of(tables)
         ],
     }
 
@@ -48,7 +48,7 @@ def order_table(tables: Sequence[ScenarioTables]) -> dict[str, Any]:
 def drift_table(tables: Sequence[ScenarioTables]) -> dict[str, Any]:
     """Energy drift per second at the default step in float64 and float32."""
     rows = []
-    for method in _methods(tables):
+    for method in methods_of(tables):
         for precision in ("float64", "float32"):
             found = [at_default_step(t, method, precision) for t in tables]
             if any(found):
@@ -108,7 +108,7 @@ def claims_sentence(claims: dict[str, Any] | None) -> Iterable[str]:
 
 
 def _order_sentence(tables: Sequence[ScenarioTables]) -> Iterable[str]:
-    found = _orders(tables, "umbra")
+    found = orders_of_position(tables, "umbra")
     if found:
         low, high = min(found.values()), max(found.values())
         yield (
@@ -138,7 +138,7 @@ def _energy_sentence(tables: Sequence[ScenarioTables]) -> Iterable[str]:
 
 
 def _repair_sentence(tables: Sequence[ScenarioTables]) -> Iterable[str]:
-    found = _orders(tables, "umbra-repaired")
+    found = orders_of_position(tables, "umbra-repaired")
     if found:
         second = sorted(name for name, order in found.items() if order > 1.5)
         first = sorted(name for name, order in found.items() if order <= 1.5)
@@ -215,16 +215,19 @@ def caption(figure: str, tables: ScenarioTables) -> str:
             return f"The reference is the wide grey line beneath. {leaving}"
 
 
-def _methods(tables: Sequence[ScenarioTables]) -> list[str]:
+def methods_of(tables: Sequence[ScenarioTables]) -> list[str]:
+    """All methods of some results, in the order of the table of methods."""
     found = {method for t in tables for method in t.methods}
     return [name for name in METHODS if name in found] + sorted(found - set(METHODS))
 
 
-def _orders(tables: Sequence[ScenarioTables], method: str) -> dict[str, float]:
-    """The observed orders of position in float64, by scenario, where there is one."""
+def orders_of_position(
+    tables: Sequence[ScenarioTables], method: str, precision: str = "float64"
+) -> dict[str, float]:
+    """The observed orders of position, by scenario, where there is one."""
     table = pl.concat([t.orders for t in tables]).filter(
         (pl.col("method") == method)
-        & (pl.col("precision") == "float64")
+        & (pl.col("precision") == precision)
         & (pl.col("quantity") == "position")
         & pl.col("order").is_finite()
     )
@@ -232,5 +235,5 @@ def _orders(tables: Sequence[ScenarioTables], method: str) -> dict[str, float]:
 
 
 def _order_of(method: str, tables: Sequence[ScenarioTables]) -> str:
-    found = _orders(tables, method)
+    found = orders_of_position(tables, method)
     return f"is of order {statistics.median(found.values()):.2f}" if found else "shows no order"

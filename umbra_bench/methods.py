@@ -89,6 +89,14 @@ ENTRY_POINTS = "umbra_bench.engines"
 """The group of entry points in which a package names its engines."""
 
 
+def entry_points() -> list[Method]:
+    """The engines that installed packages name."""
+    return [
+        Method(point.name, point.value, "engine", studied=False)
+        for point in metadata.entry_points(group=ENTRY_POINTS)
+    ]
+
+
 def find_method(name: str) -> Method:
     """Return the method called `name`: one of the table, or an engine that the reader brings.
 

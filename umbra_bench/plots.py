@@ -324,7 +324,7 @@ def _legend(figure: Figure, tables: ScenarioTables, quantity: str | None) -> Non
         style = {"color": look.colour, "linestyle": look.line}
         handles.append(mpl.lines.Line2D([], [], marker=look.marker if quantity else "", **style))
         labels.append(method_title(method) + (_order(tables, method, quantity) if quantity else ""))
-    title = "method (observed order, float64)" if quantity else None
+    title = "method (observed order)" if quantity else None
     figure.legend(
         handles,
         labels,
@@ -337,11 +337,10 @@ def _legend(figure: Figure, tables: ScenarioTables, quantity: str | None) -> Non
 
 
 def _order(tables: ScenarioTables, method: str, quantity: str) -> str:
+    """In float64, or in the only precision that an engine has."""
     row = tables.orders.filter(
-        (pl.col("method") == method)
-        & (pl.col("precision") == "float64")
-        & (pl.col("quantity") == quantity)
-    )
+        (pl.col("method") == method) & (pl.col("quantity") == quantity)
+    ).sort("precision", descending=True)
     if row.is_empty() or not math.isfinite(row["order"][0]):
         return " (none)"
     return f" ({row['order'][0]:.2f})"
