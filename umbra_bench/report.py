@@ -12,6 +12,7 @@ import polars as pl
 from umbra_bench import findings, plots
 from umbra_bench.claims.record import load_claims
 from umbra_bench.errors import UmbraBenchError
+from umbra_bench.html_report import render_html
 from umbra_bench.parallel import map_in_processes
 from umbra_bench.plots import ScenarioTables
 from umbra_bench.results import described, load_json, load_table, replacing
@@ -31,7 +32,7 @@ Listener = Callable[[str, int, int], None]
 def write_report(
     results: Path, output: Path, listener: Listener = lambda what, done, total: None
 ) -> Path:
-    """Draw all figures and write the page; return its path.
+    """Draw all figures and write both pages; return the path of `index.html`.
 
     Raises:
         UmbraBenchError: results that are missing or cannot be read; a folder that cannot be written.
@@ -41,11 +42,20 @@ def write_report(
     jobs = [(t, name, folder) for t in tables for name in FIGURES]
     for done, path in enumerate(map_in_processes(_draw, jobs), start=1):
         listener(path.name, done, len(jobs))
-    page = output / "index.md"
-    text = render_page(tables, results)
-    with replacing(page) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return page
+    pages = {
+        "index.md": render_page(tables, results),
+        "index.html": render_html(
+            tables,
+            claims=_claims(results),
+            engines=_engines(results),
+            skips=load_table("skips", results).to_dicts(),
+            environment=load_json(results / "environment.json"),
+        ),
+    }
+    for name, text in pages.items():
+        with replacing(output / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    return output / "index.html"
 
 
 def load_scenario_tables(results: Path) -> list[ScenarioTables]:
