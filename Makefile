@@ -8,7 +8,7 @@ READY := $(VENV)/.ready
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup engines report study gate claims showcase test check bench clean
+.PHONY: help setup engines browser report study gate claims showcase test check bench clean
 
 help:  ## list the targets
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z]+:.*## / {printf "  %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -26,6 +26,12 @@ $(READY): pyproject.toml constraints.txt
 engines: $(READY)  ## install Box2D, Bullet, PhysX and MuJoCo beside pymunk
 	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check \
 		--editable '.[dev,engines]'
+
+browser: $(READY)  ## install what drives the page in Chromium (as root: Chromium itself, on Debian)
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check \
+		--editable '.[browser,dev]'
+	command -v chromium >/dev/null || { apt-get update -qq && \
+		DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium; } >/dev/null
 
 study: $(READY)  ## sweep all methods over all scenarios into results/
 	$(BIN)/umbra-bench study
