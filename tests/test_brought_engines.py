@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import textwrap
+import time
 from pathlib import Path
 
 import numpy as np
@@ -208,6 +209,10 @@ HELLO = """
             'print(\'{"position": [[1]], "velocity": 2}\', flush=True)',
             r"position = \[\[1\]\] in its answer",
         ),
+        ("sys.stdout.write('9' * 10**6); sys.stdout.flush(); time.sleep(60)", "gave no answer"),
+        ("print('{\"position\": [[1' + '0' * 400 + ']]}', flush=True)", "position = "),
+        ('print(\'{"position": [["1"], [0], [0]]}\', flush=True)', "position = .*expected 3 rows"),
+        ("import os; os.kill(os.getpid(), 35)", "died of"),
         ("time.sleep(60)", "gave no answer to 'step' for 0.3 s"),
         ("__import__('os').close(1)", "exit code|closed its output"),
     ],
@@ -234,6 +239,43 @@ def test_numbers_that_are_not_finite_are_a_divergence(tmp_path: Path) -> None:
 def test_a_command_that_does_not_exist(tmp_path: Path) -> None:
     with pytest.raises(EngineFailed, match="cannot be started"):
         find_method(f"process:{tmp_path / 'nothing'}")
+
+
+@pytest.mark.skipif(shutil.which("yes") is None, reason="no `yes` on this machine")
+def test_a_process_that_never_listens_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    state = "[[1.0],[0.0],[0.0]]"
+    answer = f'{{"abi":1,"precision":"float64","position":{state},"velocity":{state}}}'
+    method = f"process:yes '{answer}'"
+    assert find_method(method).precision == "float64"
+    monkeypatch.setattr(process, "TIME_OUT", 0.3)
+    with pytest.raises(EngineFailed, match="gave no answer to 'step'"):
+        simulate(load_scenario("spring"), method, 0.001, steps=2000)
+
+
+def test_what_an_engine_started_ends_with_it(tmp_path: Path) -> None:
+    mark = tmp_path / "alive"
+    loop = f"while true; do touch {mark}; sleep 0.05; done"
+    conversation = process.Conversation(f"process:sh -c '({loop}) & cat > /dev/null; wait'")
+    while not mark.exists():
+        time.sleep(0.01)
+    conversation.close()
+    mark.unlink()
+    time.sleep(0.2)
+    assert not mark.exists()
+
+
+def test_an_engine_that_refuses_everything_is_not_a_pass(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("umbra_bench.gate.ENGINE_SCENARIOS", ("spring",))
+    code = HELLO.replace('print("{}", flush=True)', 'print(\'{"refused": "no"}\', flush=True)')
+    gate = ("gate", "--method", program(tmp_path, code.replace("STEP", "pass")))
+    baseline = tmp_path / "b.json"
+    assert run_cli(*gate, "--baseline", str(baseline), "--update") == 2
+    assert not baseline.exists()
+    told = capsys.readouterr()
+    assert "not run: spring/process:" in told.err
+    assert "PASS" not in told.out
 
 
 def test_one_line_and_exit_code_2(capsys: pytest.CaptureFixture[str]) -> None:

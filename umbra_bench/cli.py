@@ -108,7 +108,7 @@ def study(
     """Sweep methods over scenarios and step sizes; write the tables into results/."""
     _prepare()
     from umbra_bench.engine_table import examine_engines
-    from umbra_bench.results import save_study
+    from umbra_bench.results import save_study, save_table
     from umbra_bench.scenario import list_scenarios, load_scenario
     from umbra_bench.study import methods_of_study, run_study
 
@@ -122,9 +122,10 @@ def study(
             processes=None,
             listener=listener,
         )
+    save_study(found, results)
     with _progress("Engines") as listener:
         engines = examine_engines(methods_of_study(methods), processes=None, listener=listener)
-    save_study(found, results, engines)
+    save_table(engines, "engines", results)
     click.echo(f"{found.runs.height} runs in {results}/study.csv, orders in {results}/orders.csv")
 
 
@@ -214,8 +215,13 @@ def gate(
     lines = judge.lines_of(methods) if methods else judge.planned_lines(judge.budgeted_scenarios())
     with _progress("Gate") as listener:
         measured = judge.measure_lines(lines, listener, processes=None)
+    for line, reason in measured.refused.items():
+        click.echo(f"not run: {line}: {reason}", err=True)
+    if not measured.cells:
+        raise UmbraBenchError("gate: nothing could be run, so there is nothing to judge or to keep")
     judgements = judge.judge(measured, known, whole=True) if known is not None else []
-    gate_output.print_table(judgements)
+    if known is not None:
+        gate_output.print_table(judgements)
     if update:
         judge.save_baseline(measured, baseline)
         click.echo(f"{baseline}: written, {len(measured.cells)} cells")

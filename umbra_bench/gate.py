@@ -138,6 +138,7 @@ class Measurement:
         orders: per line and quantity, the slope of its error over the gate's steps.
         floors: per cell and metric, the round-off floor (not kept in the baseline).
         budgets: absolute limits of the scenario files, per cell and metric.
+        refused: per line that a method could not run, its reason.
     """
 
     hashes: dict[str, str] = field(default_factory=dict)
@@ -147,6 +148,7 @@ class Measurement:
     orders: dict[str, dict[str, float]] = field(default_factory=dict)
     floors: dict[str, dict[str, float]] = field(default_factory=dict)
     budgets: dict[str, dict[str, float]] = field(default_factory=dict)
+    refused: dict[str, str] = field(default_factory=dict)
 
 
 def planned_lines(scenarios: Iterable[Scenario] = ()) -> list[Line]:
@@ -175,15 +177,23 @@ ENGINE_SCENARIOS = (
     "torsion_spring",
     "spring_damped",
 )
-"""Where an engine that the reader brings is judged: linear, with rotation, nonlinear, damped."""
+"""Where an engine that the reader brings is judged: linear, nonlinear, turning, damped."""
 
 
 def lines_of(methods: Iterable[str]) -> list[Line]:
-    """The lines of a gate for methods of the reader's choice."""
+    """The lines of a gate for methods of the reader's choice.
+
+    Raises:
+        UmbraBenchError: a method that is unknown, does not answer or takes no steps.
+    """
+    methods = list(dict.fromkeys(methods))
+    for method in methods:
+        if find_method(method).kind == "reference":
+            raise UmbraBenchError(f"--method {method!r}: it is what the others are judged against")
     return [
         Line(scenario, method, precision)
         for scenario in ENGINE_SCENARIOS
-        for method in dict.fromkeys(methods)
+        for method in methods
         for precision in _precisions(method, PRECISIONS)
     ]
 
@@ -241,8 +251,9 @@ def _measure_scenario(task: tuple[Scenario, list[Line], Reference | None]) -> Me
                 )
                 for dt in gate_steps(scenario)
             ]
-        except UnsupportedScenario:
-            continue  # a line that the baseline holds is then missed by `judge`
+        except UnsupportedScenario as reason:
+            measurement.refused[str(line)] = str(reason)
+            continue
         _measure_line(measurement, scenario, reference, line, rows)
     return measurement
 
@@ -395,6 +406,9 @@ def _judge_cell(
             yield Judgement(cell, name, None, value, None, "unjudged", "missing in the baseline")
             continue
         before = known[name]
+        if before is None and value is not None and metrics["diverged_at"] is None:
+            yield Judgement(cell, name, before, value, None, "better", "run gate --update")
+            continue
         if before is None or value is None or not math.isfinite(value):
             diverged = metrics["diverged_at"] is not None and known.get("diverged_at") is not None
             verdict: Verdict = "pass" if diverged else "fail"

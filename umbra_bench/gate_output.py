@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from umbra_bench.gate import Judgement, exit_code
@@ -56,8 +57,14 @@ def print_table(judgements: Sequence[Judgement], limit: int = 40) -> None:
         table.add_column("verdict", no_wrap=True)
         table.add_column("why")
         for j in told[:limit]:
-            row = (j.cell, j.metric, number(j.baseline), number(j.now), number(j.factor))
-            table.add_row(*row, f"[{_COLOURS[j.verdict]}]{j.verdict}[/]", j.note)
+            row = (
+                escape(j.cell),
+                escape(j.metric),
+                number(j.baseline),
+                number(j.now),
+                number(j.factor),
+            )
+            table.add_row(*row, f"[{_COLOURS[j.verdict]}]{j.verdict}[/]", escape(j.note))
         console.print(table)
         if len(told) > limit:
             console.print(f"... and {len(told) - limit} more: see results/gate.json")
@@ -96,7 +103,7 @@ def _as_junit(judgements: Sequence[Judgement]) -> ET.Element:
     """One test suite a line of the gate, one test case a number."""
     suites: dict[str, list[Judgement]] = defaultdict(list)
     for j in judgements:
-        suites["/".join(j.cell.split("/")[:3])].append(j)
+        suites[_line_of(j.cell)].append(j)
     root = ET.Element("testsuites", name="umbra-bench gate")
     for name, members in suites.items():
         failures = sum(j.verdict == "fail" for j in members)
@@ -115,6 +122,16 @@ def _as_junit(judgements: Sequence[Judgement]) -> ET.Element:
                 kind = "failure" if j.verdict == "fail" else "error"
                 ET.SubElement(case, kind, message=sentence(j))
     return root
+
+
+def _line_of(cell: str) -> str:
+    """A cell without its step, where it has one: a method's name may hold slashes."""
+    head, _, last = cell.rpartition("/")
+    try:
+        float(last)
+    except ValueError:
+        return cell
+    return head
 
 
 def sentence(j: Judgement) -> str:
@@ -137,8 +154,15 @@ def _tell_github(judgements: Sequence[Judgement]) -> None:
             lines += ["| cell | metric | baseline | now | factor | verdict | why |"]
             lines += ["| --- | --- | ---: | ---: | ---: | --- | --- |"]
             lines += [
-                f"| {j.cell} | {j.metric} | {number(j.baseline)} | {number(j.now)} "
-                f"| {number(j.factor)} | {j.verdict} | {j.note} |"
+                "| "
+                + " | ".join(
+                    text.replace("|", "\\|")
+                    for text in (
+                        *(j.cell, j.metric, number(j.baseline), number(j.now)),
+                        *(number(j.factor), j.verdict, j.note),
+                    )
+                )
+                + " |"
                 for j in told[:100]
             ]
         with Path(path).open("a", encoding="utf-8") as file:

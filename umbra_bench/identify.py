@@ -32,8 +32,8 @@ from umbra_bench.system import System, build_system, initial_state
 from umbra_bench.umbra.bodies import Array
 from umbra_bench.wording import number
 
-SCENARIOS = ("spring", "elastic_pendulum", "orbit_eccentric")
-"""Where methods are told apart unless the user names others: linear, with rotation, nonlinear."""
+SCENARIOS = ("spring", "elastic_pendulum", "orbit_eccentric", "torsion_spring")
+"""Where methods are told apart unless the user names others: linear, nonlinear, turning."""
 
 FRACTIONS = (1.0, 0.25, 0.0625)
 """The steps of a comparison, as parts of the longest."""
@@ -252,7 +252,7 @@ def _distances(
     x, v, a = _trajectory(document, candidate, dt, 0.0)
     nudged_x, nudged_v, _ = _trajectory(document, candidate, dt, NUDGE)
     radius = gyration(build_system(scenario).bodies)
-    size = max(float(np.abs(x[:, :2]).max()), float((np.pi * radius).max()))
+    size = max(float(np.abs(x[:, :2]).max()), float((np.pi * radius).max()), 1e-300)
     speed = max(float(velocity_distance(v[1:], np.zeros_like(v[1:]), radius).max()), 1e-300)
     with np.errstate(all="ignore"):
         # What an error of one unit at the start becomes: rounding cannot do less.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from typing import Literal
 
-from umbra_bench.errors import UmbraBenchError, hint
+from umbra_bench.errors import EngineFailed, UmbraBenchError, hint
 
 Kind = Literal["integrator", "umbra", "engine", "reference"]
 
@@ -112,7 +112,14 @@ def find_method(name: str) -> Method:
         return Method(name, name, "engine", stated_precision(name), studied=False)
     points = {point.name: point for point in metadata.entry_points(group=ENTRY_POINTS)}
     if name in points:
-        precision = getattr(points[name].load(), "precision", "float64")
+        try:
+            precision = getattr(points[name].load(), "precision", "float64")
+        except (ImportError, AttributeError) as error:
+            raise EngineFailed(f"--method {name!r}: cannot be imported: {error}") from None
+        if precision not in PRECISIONS:
+            raise EngineFailed(
+                f"--method {name!r}: precision = {precision!r}; allowed: {PRECISIONS}"
+            )
         return Method(name, name, "engine", precision, studied=False)
     known = [*METHODS, *points, *(f"{prefix}..." for prefix in BROUGHT)]
     raise UmbraBenchError(f"--method {name!r} is not a method{hint(name, known)}") from None

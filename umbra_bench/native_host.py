@@ -78,6 +78,10 @@ class Library:
         self._count = len(bodies)
         return {} if self._engine else {"refused": "the library's umbra_create returned NULL"}
 
+    def destroy(self) -> None:
+        if self._engine:
+            self._call["destroy"](self._engine)
+
     def step(self, dt: float, force: list[list[float]]) -> dict[str, Any]:
         for i, (fx, fy, torque) in enumerate(zip(*force, strict=True)):
             self._call["apply"](self._engine, i, fx, fy, torque)
@@ -97,18 +101,19 @@ class Library:
 
 def main() -> None:
     """Answer question after question until the input ends."""
-    try:
-        library = Library(sys.argv[1])
-    except (OSError, AttributeError) as error:
-        sys.exit(str(error))
-    # What the library itself prints must not stand among the answers.
+    # What the library itself prints, from its loading on, must not stand among the answers.
     with os.fdopen(os.dup(1), "w") as answers:
         os.dup2(2, 1)
+        try:
+            library = Library(sys.argv[1])
+        except (OSError, AttributeError) as error:
+            sys.exit(str(error))
         for line in sys.stdin:
             question = json.loads(line)
             answer = getattr(library, question.pop("ask"))(**question)
             answers.write(json.dumps(answer) + "\n")
             answers.flush()
+        library.destroy()
 
 
 if __name__ == "__main__":

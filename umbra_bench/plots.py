@@ -323,7 +323,7 @@ def _legend(figure: Figure, tables: ScenarioTables, quantity: str | None) -> Non
         look = look_of(method)
         style = {"color": look.colour, "linestyle": look.line}
         handles.append(mpl.lines.Line2D([], [], marker=look.marker if quantity else "", **style))
-        labels.append(method_title(method) + (_order(tables, method, quantity) if quantity else ""))
+        labels.append(_label(method) + (_order(tables, method, quantity) if quantity else ""))
     title = "method (observed order)" if quantity else None
     figure.legend(
         handles,
@@ -344,6 +344,11 @@ def _order(tables: ScenarioTables, method: str, quantity: str) -> str:
     if row.is_empty() or not math.isfinite(row["order"][0]):
         return " (none)"
     return f" ({row['order'][0]:.2f})"
+
+
+def _label(method: str) -> str:
+    """The method's name in a legend, where a dollar sign would begin a formula."""
+    return method_title(method).replace("$", r"\$")
 
 
 def _line(table: pl.DataFrame, method: str, precision: str) -> pl.DataFrame:

@@ -54,8 +54,8 @@ def replacing(path: Path) -> Iterator[Path]:
         raise UmbraBenchError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def save_study(study: Study, folder: Path = RESULTS, engines: pl.DataFrame | None = None) -> None:
-    """Write a study's tables and its environment into a folder, and what engines were found to be.
+def save_study(study: Study, folder: Path = RESULTS) -> None:
+    """Write a study's tables and its environment into a folder.
 
     Raises:
         UmbraBenchError: as :func:`replacing`.
@@ -65,8 +65,6 @@ def save_study(study: Study, folder: Path = RESULTS, engines: pl.DataFrame | Non
     )
     for name, table in tables.items():
         save_table(table, name, folder)
-    if engines is not None:
-        save_table(engines, "engines", folder)
     for name, table in zip(SERIES, (study.motion, study.energy), strict=True):
         _write(folder / f"{name}.parquet", table.write_parquet)
     save_json(described(study.scenarios), folder / "scenarios.json")

@@ -19,6 +19,9 @@ from umbra_bench.study import measure, run_on_grid
 MOST_STEPS = 2_000_000
 """The sweep halves its step until a run needs more steps than this."""
 
+RISE = 1.5
+"""By how much an error has to rise again for the least one to be a turning point."""
+
 LONG_STEP = 2.0**-7
 LONG_STEPS = 2**21
 SAMPLES = 2**12
@@ -31,7 +34,8 @@ class Turn(NamedTuple):
         steps, errors: dt in s, longest first, and the largest position error in m, shape (K,) each.
         best_step: the dt of the least error, s.
         least_error: over the motion's length scale.
-        turned: whether shorter steps than the best were tried and all did worse.
+        turned: whether longer and shorter steps than the best were tried, and of the shorter ones
+            some did worse by the factor :data:`RISE`.
     """
 
     steps: np.ndarray
@@ -62,7 +66,7 @@ def turning_point(scenario: Scenario, reference: Reference, method: str) -> Turn
         errors,
         steps[best],
         float(errors[best]) / reference.scales.length,
-        best < len(steps) - 1,
+        best > 0 and bool(errors[best:].max() > RISE * errors[best]),
     )
 
 

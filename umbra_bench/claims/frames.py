@@ -9,7 +9,7 @@ import numpy as np
 from umbra_bench.analysis.stability import largest_stable_step
 from umbra_bench.claims.lab import Lab, particle
 from umbra_bench.claims.statement import Evidence, at_least, at_most, statement
-from umbra_bench.simulation import simulate
+from umbra_bench.simulation import Trajectory, simulate
 from umbra_bench.umbra import Bodies, BodyDefinition, UmbraState, apply_damping, step
 from umbra_bench.wording import number
 
@@ -108,43 +108,52 @@ def naive_damping(lab: Lab) -> Evidence:
     "Keeping angles in [0, 2π) prevents floating-point drift over many rotations.",
 )
 def wrapping(lab: Lab) -> Evidence:
-    spin, dt, steps = 7.3, 2.0**-7, 2**21
+    spin, dt, steps, every = 7.3, 2.0**-7, 2**21, 2**9
+    turn = 2 * math.pi
 
-    def error(method: str) -> np.ndarray:
+    def error(method: str, precision: str) -> np.ndarray:
+        """The angle's error so far, without turns taken off: a clock that is a turn late is late."""
         run = simulate(
             particle(angular_velocity=spin),
             method,
             dt,
             steps=steps,
-            every=2**9,
-            precision="float32",
+            every=every,
+            precision=precision,
         )
         gap = run.position[:, 2, 0].astype(float) - float(np.float32(spin)) * run.times
-        gap = np.remainder(gap + math.pi, 2 * math.pi) - math.pi
-        return np.maximum.accumulate(np.abs(gap))
+        whole_turns = np.concatenate([[0.0], np.cumsum(np.round(np.diff(gap) / turn))])
+        return np.maximum.accumulate(np.abs(gap - turn * whole_turns if wraps(run) else gap))
 
-    wrapped, unwrapped = error(lab.subject), error("semi-implicit-euler")
-    turns = spin * dt * steps / (2 * math.pi)
-    after = int(np.searchsorted(np.arange(len(wrapped)) * 2**9 * dt, 1000 * 2 * math.pi / spin))
+    def wraps(run: Trajectory) -> bool:
+        return float(np.abs(run.position[:, 2, 0]).max()) < 4 * math.pi
+
+    wrapped = error(lab.subject, "float32")
+    unwrapped = error("semi-implicit-euler", "float32")
+    turns = spin * dt * steps / turn
+    after = int(np.searchsorted(np.arange(len(wrapped)) * every * dt, 1000 * turn / spin))
+    of_two_pi = 1000 * abs(float(np.float32(turn)) - turn)
+    late, later = float(wrapped[after]), float(wrapped[-1])
     return Evidence(
         required=(
             at_most(
                 f"angle's error over that without wrapping, {turns:.0f} turns in float32",
-                wrapped[-1] / unwrapped[-1],
-                1.0,
+                later / float(unwrapped[-1]),
+                0.5,
             ),
         ),
-        limits=(at_most("the angle's error after 1000 turns", float(wrapped[after]), 1e-4, "rad"),),
-        holds="The wrapped angle stays within rounding.",
+        limits=(at_most("the angle's error after 1000 turns", late, 1e-3, "rad"),),
+        holds=f"The wrapped angle is off by {number(late)} rad after 1000 turns.",
         condition=(
-            f"It drifts less, not nothing: {number(float(wrapped[after]))} rad after 1000 turns and "
-            f"{number(float(wrapped[-1]))} rad after {turns:.0f}, where the angle that is not wrapped is "
-            f"off by {number(float(unwrapped[after]))} and {number(float(unwrapped[-1]))} rad. The 2π of "
-            "float32 is 1.7e-7 too large, at every turn to the same side, and a step's angle is rounded."
+            f"It drifts less, not nothing: {number(late)} rad after 1000 turns and {number(later)} rad "
+            f"after {turns:.0f}, where the angle that is not wrapped is off by "
+            f"{number(float(unwrapped[after]))} and {number(float(unwrapped[-1]))} rad. Of the former "
+            f"{number(of_two_pi)} rad come from float32's 2π, which is too large; the rest from rounding "
+            "the same sum in every step."
         ),
         fails=(
-            f"After {turns:.0f} turns the wrapped angle is off by {number(float(wrapped[-1]))} rad, the "
-            f"other by {number(float(unwrapped[-1]))}."
+            f"After {turns:.0f} turns the wrapped angle is off by {number(later)} rad, the other by "
+            f"{number(float(unwrapped[-1]))}."
         ),
     )
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from umbra_bench.compiled import COMPILED_METHODS, CompiledMethod
+from umbra_bench.compiled import COMPILED_METHODS
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.reference import Reference, certified_reference
 from umbra_bench.scenario import Body, Scenario, Sweep, load_scenario
@@ -33,12 +33,14 @@ class Lab:
         if subject not in COMPILED_METHODS:
             allowed = ", ".join(COMPILED_METHODS)
             raise UmbraBenchError(f"--method {subject!r}: allowed are {allowed}")
-        self.subject = subject
+        self._subject = subject
+        self.examined = False
 
-    @functools.cached_property
-    def subject_method(self) -> CompiledMethod:
-        """The subject's two functions, start and step."""
-        return COMPILED_METHODS[self.subject]
+    @property
+    def subject(self) -> str:
+        """The method that is examined; asking for it is remembered in `examined`."""
+        self.examined = True
+        return self._subject
 
     @functools.lru_cache  # noqa: B019 -- a lab lives as long as its measurements
     def scenario(self, name: str) -> Scenario:

@@ -34,7 +34,7 @@ def measure_all(
     processes: int | None = 1,
     listener: Listener = lambda what, done, total: None,
 ) -> Found:
-    """Measure every statement and every proof.
+    """Measure every statement and every proof; of another subject only those that depend on it.
 
     Args:
         subject: the method in UMBRA's place.
@@ -58,7 +58,9 @@ def measure_all(
     document = {
         "format": FORMAT,
         "subject": subject,
-        "statements": [rows[s.name] for s in ORDERED],
+        "statements": [
+            rows[s.name] for s in ORDERED if subject == "umbra" or rows[s.name]["examines"]
+        ],
         "proofs": {name: _plain(parts[name].rows) for name in PROOFS},
         "environment": environment([]),
     }
@@ -86,10 +88,12 @@ def measure_one(statement: Statement, lab: Lab) -> dict[str, Any]:
         "place": statement.place,
         "statement": statement.text,
     }
+    lab.examined = False
     try:
         evidence = statement.measure(lab)
     except Waiting as reason:
-        return {**row, "verdict": "waits", "why": str(reason), "criteria": []}
+        return {**row, "verdict": "waits", "why": str(reason), "criteria": [], "examines": False}
+    row["examines"] = lab.examined  # whether it depends on the method in UMBRA's place
     criteria = [
         *(_criterion(criterion, decides="fails") for criterion in evidence.required),
         *(_criterion(criterion, decides="holds with a condition") for criterion in evidence.limits),

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from umbra_bench import plots
@@ -119,7 +120,9 @@ def print_claims(document: dict[str, Any]) -> None:
         table.add_column("why")
         for s in statements:
             verdict = f"[{_COLOURS[s['verdict']]}]{s['verdict']}[/]"
-            table.add_row(verdict, s["name"], s["statement"], s["why"])
+            whatever = document["subject"] != "umbra" and not s["examines"]
+            why = f"Whatever the method: {s['why']}" if whatever else s["why"]
+            table.add_row(verdict, s["name"], escape(s["statement"]), escape(why))
         console.print(table)
     if len(statements) <= 3:
         for s in statements:

@@ -14,6 +14,7 @@ import contextlib
 import functools
 import json
 import math
+import os
 import selectors
 import shlex
 import signal
@@ -33,6 +34,9 @@ from umbra_bench.system import body_definition, compiled_force
 TIME_OUT = 10.0
 """How long an engine may take for an answer, s."""
 
+LONGEST_ANSWER = 1 << 10
+"""How many parts of 64 kB an answer may have."""
+
 ABI = 1
 
 
@@ -51,41 +55,55 @@ class Conversation:
         self._selector = selectors.DefaultSelector()
         self._unread = b""
         try:
+            command = command_of(method)
+            if not command:
+                raise ValueError("no command is named")
             self._process = subprocess.Popen(  # noqa: S603 -- the user's own command
-                command_of(method),
+                command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._complaints,
+                start_new_session=True,  # so that what it starts itself can be ended with it
             )
-        except (OSError, ValueError, IndexError) as error:
+        except (OSError, ValueError) as error:
             raise self._failure(f"cannot be started: {error}") from None
-        assert self._process.stdout is not None
-        self._selector.register(self._process.stdout, selectors.EVENT_READ)
+        for stream in (self._process.stdin, self._process.stdout):
+            assert stream is not None
+            os.set_blocking(stream.fileno(), False)
 
     def ask(self, question: str, **details: Any) -> dict[str, Any]:
         """Ask one question and return the answer."""
+        line = json.dumps({"ask": question, **details}, allow_nan=False).encode() + b"\n"
+        until = time.monotonic() + TIME_OUT
+        self._write(line, question, until)
+        return self._answer(question, until)
+
+    def _write(self, line: bytes, question: str, until: float) -> None:
         assert self._process is not None
         assert self._process.stdin is not None
-        line = json.dumps({"ask": question, **details}, allow_nan=False).encode() + b"\n"
-        try:
-            self._process.stdin.write(line)
-            self._process.stdin.flush()
-        except (BrokenPipeError, ConnectionError):
-            raise self._failure(self._death()) from None
-        return self._answer(question)
+        stream = self._process.stdin.fileno()
+        while line:
+            self._wait(stream, selectors.EVENT_WRITE, question, until)
+            try:
+                line = line[os.write(stream, line) :]
+            except BlockingIOError:
+                continue
+            except (BrokenPipeError, ConnectionError):
+                raise self._failure(self._death()) from None
 
-    def _answer(self, question: str) -> dict[str, Any]:
+    def _answer(self, question: str, until: float) -> dict[str, Any]:
         assert self._process is not None
         assert self._process.stdout is not None
-        until = time.monotonic() + TIME_OUT
-        while b"\n" not in self._unread:
-            if not self._selector.select(max(0.0, until - time.monotonic())):
-                raise self._failure(f"gave no answer to {question!r} for {TIME_OUT:g} s")
-            part = self._process.stdout.read1(1 << 16)  # type: ignore[attr-defined]
-            if not part:
+        stream = self._process.stdout.fileno()
+        parts = [self._unread]
+        while b"\n" not in parts[-1]:
+            self._wait(stream, selectors.EVENT_READ, question, until)
+            parts.append(os.read(stream, 1 << 16))
+            if not parts[-1]:
                 raise self._failure(self._death())
-            self._unread += part
-        line, _, self._unread = self._unread.partition(b"\n")
+            if len(parts) > LONGEST_ANSWER:
+                raise self._failure(f"answered more than {LONGEST_ANSWER >> 4} MB to {question!r}")
+        line, _, self._unread = b"".join(parts).partition(b"\n")
         try:
             answer = json.loads(line)
         except (ValueError, RecursionError):
@@ -95,13 +113,24 @@ class Conversation:
             raise self._failure(f"answered {said} to {question!r}")
         return answer
 
+    def _wait(self, stream: int, event: int, question: str, until: float) -> None:
+        """Wait until a stream is ready, and no longer than the time-out."""
+        self._selector.register(stream, event)
+        try:
+            ready = self._selector.select(max(0.0, until - time.monotonic()))
+        finally:
+            self._selector.unregister(stream)
+        if not ready or time.monotonic() > until:
+            raise self._failure(f"gave no answer to {question!r} for {TIME_OUT:g} s")
+
     def _death(self) -> str:
         """How the process ended."""
         assert self._process is not None
         with contextlib.suppress(subprocess.TimeoutExpired):
             code = self._process.wait(1.0)
             if code < 0:
-                return f"died of {signal.Signals(-code).name}"
+                known = {s.value: s.name for s in signal.Signals}
+                return f"died of {known.get(-code, f'signal {-code}')}"
             return f"ended with exit code {code}"
         return "closed its output"
 
@@ -132,11 +161,17 @@ class Conversation:
         try:
             self._process.wait(patience)
         except subprocess.TimeoutExpired:
-            self._process.kill()
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
 
     def __del__(self) -> None:
         self.close()
+
+
+def _numbers(rows: Any) -> bool:
+    """Whether rows hold numbers and nulls alone: not texts that look like numbers."""
+    return all(v is None or type(v) in (int, float) for row in rows for v in row)
 
 
 def command_of(method: str) -> list[str]:
@@ -213,9 +248,11 @@ class ProcessEngine:
 
     def _array(self, answer: dict[str, Any], name: str) -> np.ndarray:
         """The part of an answer, null read as not a number."""
+        rows = answer.get(name)
         try:
-            array = np.array(answer.get(name), float)
-        except (TypeError, ValueError):
+            told = np.array(rows, float)
+            array = told if _numbers(rows) else np.empty(0)
+        except (TypeError, ValueError, OverflowError):
             array = np.empty(0)
         if array.shape != self._shape:
             raise EngineFailed(

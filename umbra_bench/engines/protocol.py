@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from umbra_bench.compiled import Observables, Recording
-from umbra_bench.errors import UmbraBenchError
+from umbra_bench.errors import EngineFailed, UmbraBenchError
 from umbra_bench.jax_settings import float64_allowed
 from umbra_bench.methods import BROUGHT, ENTRY_POINTS, find_method
 from umbra_bench.reference import observe_all
@@ -56,12 +56,15 @@ def open_engine(method: str, scenario: Scenario) -> Engine:
         from umbra_bench.engines.process import ProcessEngine
 
         return ProcessEngine(method, scenario)
-    if method in _HOMES:
-        module, name = _HOMES[method]
-        kind = getattr(importlib.import_module(f"umbra_bench.engines.{module}"), name)
-    else:
-        (point,) = metadata.entry_points(group=ENTRY_POINTS, name=method)
-        kind = point.load()
+    try:
+        if method in _HOMES:
+            module, name = _HOMES[method]
+            kind = getattr(importlib.import_module(f"umbra_bench.engines.{module}"), name)
+        else:
+            (point,) = metadata.entry_points(group=ENTRY_POINTS, name=method)
+            kind = point.load()
+    except (ImportError, AttributeError) as error:
+        raise EngineFailed(f"--method {method!r}: cannot be imported: {error}") from None
     engine: Engine = kind(scenario)
     return engine
 
