@@ -184,19 +184,20 @@ def test_a_report_is_a_page_and_its_figures(tmp_path: Path) -> None:
     told: list[tuple[str, int, int]] = []
     output = tmp_path / "new" / "reports"
     written = write_report(tmp_path / "results", output, lambda *what: told.append(what))
-    assert written == output / "index.md"
+    assert written == output / "index.html"
     assert [(done, total) for _, done, total in told] == [(n, 8) for n in range(1, 9)]
     names = {f"{s}-{kind}" for s in ("soft", "stiff") for kind in FIGURES}
     files = {path.relative_to(output).as_posix() for path in output.rglob("*") if path.is_file()}
-    assert files == {"index.md"} | {f"figures/{n}.{end}" for n in names for end in ("svg", "png")}
+    pages = {"index.html", "index.md"}
+    assert files == pages | {f"figures/{n}.{end}" for n in names for end in ("svg", "png")}
     for name in names:
         svg = ElementTree.parse(output / "figures" / f"{name}.svg").getroot()
         assert svg.tag.endswith("}svg")
         png = (output / "figures" / f"{name}.png").read_bytes()
         assert png.startswith(b"\x89PNG\r\n\x1a\n")
         assert png.rstrip().endswith(b"IEND\xaeB`\x82")
-    links = links_on(written.read_text(encoding="utf-8"))
-    assert set(links) == files - {"index.md"}
+    links = links_on((output / "index.md").read_text(encoding="utf-8"))
+    assert set(links) == files - pages
 
 
 def test_files_are_in_the_style_of_the_report_and_the_same_each_time(
@@ -231,7 +232,7 @@ def test_the_command_draws_in_processes_of_its_own(
         cli.main()
     stdout, stderr = capfd.readouterr()
     assert ending.value.code == 0
-    assert stdout == "pages/index.md\n"
+    assert stdout == "pages/index.html\n"
     assert [line.partition("]")[0] for line in stderr.splitlines()] == [
         f"[{n}/4" for n in (1, 2, 3, 4)
     ]
@@ -648,7 +649,7 @@ def test_the_pictures_of_a_scenario_of_any_name_are_found(
 ) -> None:
     monkeypatch.setattr(report, "FIGURES", {"motion": FIGURES["motion"]})
     save_study(renamed(name), tmp_path / "results")
-    page = write_report(tmp_path / "results", tmp_path / "reports")
+    page = write_report(tmp_path / "results", tmp_path / "reports").with_suffix(".md")
     links = links_on(page.read_text(encoding="utf-8"))
     assert len(set(links)) == 2
     for link in links:

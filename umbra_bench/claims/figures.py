@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from umbra_bench.plots import LOOKS, Look, look_of, slope_guides, styled
+from umbra_bench.plots import LOOKS, Look, log_scale, look_of, slope_guides, styled
 from umbra_bench.wording import method_title
 
 _HALVES = {
@@ -99,8 +99,7 @@ def draw_precision(curves: pl.DataFrame) -> Figure:
     """In float32, below which step does a shorter one make things worse?"""
     with styled():
         figure, axes = _one_panel("step dt (s)", "largest position error / size of the motion")
-        axes.set_xscale("log")
-        axes.set_yscale("log")
+        log_scale(axes, "x", "y")
         looks = list(LOOKS.values())
         for i, (name, table) in enumerate(_series(curves, "precision")):
             table = table.sort("x").filter(pl.col("measured").is_finite())
@@ -119,8 +118,7 @@ def draw_rounding(curves: pl.DataFrame) -> Figure:
     """How does the rounding of float32 grow with time?"""
     with styled():
         figure, axes = _one_panel("time (s)", "float32 minus float64, so far at most")
-        axes.set_xscale("log")
-        axes.set_yscale("log")
+        log_scale(axes, "x", "y")
         colours: dict[str, str] = {}
         for name, table in _series(curves, "rounding-growth"):
             scenario, _, quantity = name.partition(", ")
@@ -153,8 +151,7 @@ def draw_repair(curves: pl.DataFrame) -> Figure:
     """Which half of the repair makes the pipeline second order?"""
     with styled():
         figure, axes = _one_panel("step dt (s)", "largest position error on the spring (m)")
-        axes.set_xscale("log")
-        axes.set_yscale("log")
+        log_scale(axes, "x", "y")
         for method, table in _series(curves, "repair"):
             look = _HALVES.get(method) or look_of(method)
             axes.plot(
