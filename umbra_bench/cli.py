@@ -133,7 +133,8 @@ def study(
 @click.option("--results", type=_FOLDER, default="results", show_default=True)
 @click.option("--output", type=_FOLDER, default="reports", show_default=True)
 @click.option("--summary", is_flag=True, help="Print an overview and draw nothing.")
-def report(results: Path, output: Path, summary: bool) -> None:
+@click.option("--against", type=_FOLDER, help="Another run's results: what changed since?")
+def report(results: Path, output: Path, summary: bool, against: Path | None) -> None:
     """Draw the report from the tables in results/; simulates nothing."""
     from umbra_bench.report import load_scenario_tables, write_report
 
@@ -143,7 +144,7 @@ def report(results: Path, output: Path, summary: bool) -> None:
         print_overview(load_scenario_tables(results))
         return
     with _progress("Report") as listener:
-        page = write_report(results, output, listener)
+        page = write_report(results, output, listener, against)
     click.echo(f"{page}")
 
 

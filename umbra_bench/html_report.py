@@ -36,8 +36,12 @@ def render_html(
     engines: Sequence[dict[str, Any]],
     skips: Sequence[dict[str, Any]],
     environment: dict[str, Any],
+    changed: Any = None,
 ) -> str:
-    """The page. Everything that an author wrote is escaped."""
+    """The page. Everything that an author wrote is escaped.
+
+    `changed`: :class:`umbra_bench.report.Changed`, where the run is compared with another.
+    """
     page = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
         autoescape=True,
@@ -56,6 +60,7 @@ def render_html(
         skips=skips,
         references=[t.reference for t in tables],
         environment=environment,
+        changed=changed,
         style=Markup((_TEMPLATES / "style.css").read_text(encoding="utf-8")),  # noqa: S704
         script=Markup((_TEMPLATES / "explorer.js").read_text(encoding="utf-8")),  # noqa: S704
         plotly=Markup(get_plotlyjs()),  # noqa: S704 -- the library's own text

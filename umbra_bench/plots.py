@@ -67,7 +67,10 @@ CLIP = 1e6
 
 @dataclass(frozen=True)
 class ScenarioTables:
-    """Everything in the results that belongs to one scenario."""
+    """Everything in the results that belongs to one scenario.
+
+    `before`: the same of another run, drawn beneath as wide pale lines.
+    """
 
     scenario: dict[str, Any]
     runs: pl.DataFrame
@@ -75,6 +78,7 @@ class ScenarioTables:
     reference: dict[str, Any]
     motion: pl.DataFrame
     energy: pl.DataFrame
+    before: ScenarioTables | None = None
 
     @property
     def methods(self) -> list[str]:
@@ -247,18 +251,27 @@ def _plot_against_dt(axes: Axes, tables: ScenarioTables, precision: str, column:
     log_scale(axes, "x", "y")
     axes.set_title(precision, loc="left")
     for method in tables.methods:
-        line = _line(tables.runs, method, precision).sort("dt")
-        good = line.filter(
-            pl.col(column).is_finite() & (pl.col(column) > 0) & (pl.col(column) < CLIP * scale)
-        )
+        look = look_of(method)
+        if tables.before is not None:
+            old = _drawn(tables.before.runs, method, precision, column, scale)
+            axes.plot(old["dt"], old[column], color=look.colour, lw=5, alpha=0.25, zorder=1.2)
+        good = _drawn(tables.runs, method, precision, column, scale)
         if good.is_empty():
             continue
-        look = look_of(method)
         axes.plot(
             good["dt"], good[column], color=look.colour, linestyle=look.line, marker=look.marker
         )
     if not axes.get_lines():
         _say(axes, "no error to show:\nall are zero or not finite")
+
+
+def _drawn(
+    runs: pl.DataFrame, method: str, precision: str, column: str, scale: float
+) -> pl.DataFrame:
+    """The points of a line that a log axis can show."""
+    value = pl.col(column)
+    shown = value.is_finite() & (value > 0) & (value < CLIP * scale)
+    return _line(runs, method, precision).sort("dt").filter(shown)
 
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import polars as pl
 
 from umbra_bench import findings, plots
 from umbra_bench.claims.record import load_claims
+from umbra_bench.comparison import Difference, beside, differences
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.html_report import render_html
 from umbra_bench.parallel import map_in_processes
@@ -30,26 +31,35 @@ Listener = Callable[[str, int, int], None]
 
 
 def write_report(
-    results: Path, output: Path, listener: Listener = lambda what, done, total: None
+    results: Path,
+    output: Path,
+    listener: Listener = lambda what, done, total: None,
+    against: Path | None = None,
 ) -> Path:
     """Draw all figures and write both pages; return the path of `index.html`.
+
+    `against`: the folder of another run's results, drawn beneath and compared.
 
     Raises:
         UmbraBenchError: results that are missing or cannot be read; a folder that cannot be written.
     """
     tables = load_scenario_tables(results)
+    if against is not None:
+        tables = beside(tables, load_scenario_tables(against))
+    changed = Changed(str(against), differences(tables)) if against is not None else None
     folder = output / "figures"
     jobs = [(t, name, folder) for t in tables for name in FIGURES]
     for done, path in enumerate(map_in_processes(_draw, jobs), start=1):
         listener(path.name, done, len(jobs))
     pages = {
-        "index.md": render_page(tables, results),
+        "index.md": render_page(tables, results, changed),
         "index.html": render_html(
             tables,
             claims=_claims(results),
             engines=_engines(results),
             skips=load_table("skips", results).to_dicts(),
             environment=load_json(results / "environment.json"),
+            changed=changed,
         ),
     }
     for name, text in pages.items():
@@ -100,20 +110,29 @@ def _bundles(
         ScenarioTables(
             scenario=scenarios[reference["scenario"]],
             reference=reference,
-            **{
-                name: table.filter(pl.col("scenario") == reference["scenario"])
-                for name, table in zip(
-                    ("runs", "orders", "motion", "energy"),
-                    (runs, orders, motion, energy),
-                    strict=True,
-                )
-            },
+            **_parts(reference["scenario"], runs, orders, motion, energy),
         )
         for reference in references.to_dicts()
     ]
 
 
-def render_page(tables: list[ScenarioTables], results: Path) -> str:
+def _parts(name: str, *tables: pl.DataFrame) -> dict[str, Any]:
+    """The rows of one scenario, of each of the tables."""
+    names = ("runs", "orders", "motion", "energy")
+    return {
+        key: table.filter(pl.col("scenario") == name)
+        for key, table in zip(names, tables, strict=True)
+    }
+
+
+class Changed(NamedTuple):
+    """What differs from another run, and where that run lies."""
+
+    against: str
+    differences: list[Difference]
+
+
+def render_page(tables: list[ScenarioTables], results: Path, changed: Changed | None = None) -> str:
     """The page in Markdown."""
     return render(
         "index.md.j2",
@@ -135,6 +154,7 @@ def render_page(tables: list[ScenarioTables], results: Path) -> str:
         orders=findings.order_table(tables),
         drifts=findings.drift_table(tables),
         engines=_engines(results),
+        changed=changed,
         references=[t.reference for t in tables],
         skips=load_table("skips", results).to_dicts(),
         environment=load_json(results / "environment.json"),
