@@ -103,6 +103,50 @@ def naive_damping(lab: Lab) -> Evidence:
 
 
 @statement(
+    "damping-of-each-body", DAMPING, "Each body can override the damping of the world around it."
+)
+def damping_of_each_body(lab: Lab) -> Evidence:
+    shared, own = 0.5, 0.9
+    scenario = particle((3.0, 0.0), angular_velocity=2.0, kept=shared)
+    first = scenario.bodies[0]
+    second = first.model_copy(update={"name": "other", "linear_damping": own})
+    both = scenario.model_copy(update={"bodies": (first, second)})
+    run = simulate(both, lab.subject, DT, steps=100, every=100)
+    kept = run.velocity[-1, [0, 2]] / run.velocity[0, [0, 2]]  # of vx and omega, per body
+    errors = (abs(kept[0, 0] - shared), abs(kept[0, 1] - own), abs(kept[1, 1] - shared))
+    return Evidence(
+        required=(
+            at_most("error of what a body without its own keeps in 1 s", errors[0], 1e-9),
+            at_most("error of what a body with its own keeps", errors[1], 1e-9),
+            at_most(
+                "error of the spin that the latter keeps, which is not overridden", errors[2], 1e-9
+            ),
+        ),
+        holds=f"Of two bodies one keeps {kept[0, 0]:.3g} of its speed in a second, one {kept[0, 1]:.3g}.",
+        fails=f"They keep {kept[0, 0]:.6g} and {kept[0, 1]:.6g} of their speed.",
+    )
+
+
+@statement("angles-in-range", PIPELINE, "Angles are brought to [0, 2π) after every step.")
+def angles_in_range(lab: Lab) -> Evidence:
+    lowest, highest = math.inf, -math.inf
+    for spin in (-31.4, -0.01, 0.01, 12.5):
+        run = simulate(
+            particle(angular_velocity=spin), lab.subject, DT, steps=1000, precision="float32"
+        )
+        angle = run.position[1:, 2, 0].astype(float)
+        lowest, highest = min(lowest, angle.min()), max(highest, angle.max())
+    return Evidence(
+        required=(
+            at_least("lowest angle, spins in both senses, float32", lowest, 0.0, "rad"),
+            at_most("highest angle", highest, float(np.nextafter(2 * math.pi, 0.0)), "rad"),
+        ),
+        holds=f"They lie between {lowest:.3g} and {highest:.7g} rad.",
+        fails=f"They lie between {lowest:.4g} and {highest:.8g} rad.",
+    )
+
+
+@statement(
     "wrapping-prevents-drift",
     PIPELINE,
     "Keeping angles in [0, 2π) prevents floating-point drift over many rotations.",
@@ -164,16 +208,16 @@ def wrapping(lab: Lab) -> Evidence:
 def cleared(lab: Lab) -> Evidence:
     body = BodyDefinition(mass=2.0)
     bodies, state = Bodies.of([body]), UmbraState.of([body])
-    state.force[0, 0] = 10.0
+    state.force[:, 0] = 10.0, 0.0, 3.0
     first = step(bodies, state, np.float32(DT))
     second = step(bodies, first, np.float32(DT))
     third = step(bodies, second, np.float32(DT))
     left = float(np.abs(first.force).max())
     late = float(abs(second.velocity[0, 0] - first.velocity[0, 0]) / first.velocity[0, 0])
-    later = float(abs(third.velocity[0, 0] - second.velocity[0, 0]))
+    later = float(np.abs(third.velocity - second.velocity).max())
     return Evidence(
         required=(
-            at_most("what is left in the accumulators after the frame", left, 0.0, "N"),
+            at_most("what is left of force and torque after the frame", left, 0.0, "N"),
             at_most("velocity gained in the third frame", later, 0.0, "m/s"),
         ),
         limits=(at_most("velocity gained in the second frame, over the first's", late, 0.0),),
@@ -196,6 +240,28 @@ def impulses(lab: Lab) -> Evidence:
         required=(at_most("distance from v + J/m before any step", error, 1e-6, "m/s"),),
         holds="Before any step.",
         fails=f"The velocity is off by {number(error)} m/s.",
+    )
+
+
+@statement(
+    "impulse-at-a-point-turns",
+    FORCES,
+    "An impulse off the centre also changes the spin, by r x J/I.",
+)
+def impulse_at_point(lab: Lab) -> Evidence:
+    world = lab.world(BodyDefinition(mass=2.0, inertia=0.5, position=(1.0, 2.0)))
+    world.apply_impulse_at_point(0, (3.0, 2.0), (1.4, 1.7))
+    state = world.read(0)
+    truth = (0.4 * 2.0 - (-0.3) * 3.0) / 0.5
+    return Evidence(
+        required=(
+            at_most(
+                "relative error of the spin", abs(state.angular_velocity / truth - 1), ROUNDING
+            ),
+            at_most("error of the velocity", abs(state.velocity[0] - 1.5), 1e-6, "m/s"),
+        ),
+        holds=f"It spins at {state.angular_velocity:.6g} rad/s before any step.",
+        fails=f"It spins at {state.angular_velocity:.6g} rad/s, and r x J/I is {truth:.6g}.",
     )
 
 
