@@ -8,8 +8,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import polars as pl
 import pytest
 
+from umbra_bench.claims.record import CURVES_SCHEMA, FORMAT, Found, save_claims
 from umbra_bench.report import write_report
 from umbra_bench.results import save_study
 from umbra_bench.scenario import load_scenario
@@ -28,6 +30,17 @@ FLAGS = [
 METHODS = ("semi-implicit-euler", "velocity-verlet", "umbra", "pymunk")
 MARKUP = '<img src=x onerror="alert(1)"> </script> & `_*|'
 
+STATEMENTS = [
+    {
+        "name": "spoilt",
+        "place": MARKUP,
+        "statement": MARKUP,
+        "why": MARKUP,
+        "verdict": "fails",
+        "criteria": [],
+    }
+]
+
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
 
 
@@ -39,6 +52,12 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     orbit = load_scenario("orbit_circular").with_sweep(0.04, 3)
     orbit = orbit.model_copy(update={"title": MARKUP, "description": MARKUP})
     save_study(run_study([spring, orbit], METHODS), folder)
+    curves = [
+        {"proof": "stability", "series": "umbra, damped", "x": x, "measured": 1.0, "predicted": 1.0}
+        for x in (0.5, 1.0)
+    ]
+    document = {"format": FORMAT, "subject": "umbra", "statements": STATEMENTS, "proofs": {}}
+    save_claims(Found(document, pl.DataFrame(curves, CURVES_SCHEMA)), folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("umbra_bench.report.FIGURES", {})
         return write_report(folder, folder / "reports")
@@ -192,6 +211,13 @@ def test_it_is_accessible_and_fits(opened: Any, scheme: str, width: int) -> None
     serious = [v for v in found if v["impact"] in ("serious", "critical")]
     assert [(v["id"], [n["html"][:120] for n in v["nodes"]][:3]) for v in serious] == []
     assert opened.evaluate("document.documentElement.scrollWidth") <= width
+
+
+@needs_browser
+def test_the_stability_map_is_drawn(opened: Any) -> None:
+    opened.locator("#stability-plot").scroll_into_view_if_needed()
+    opened.wait_for_selector("#stability-plot .scatterlayer .trace", state="attached")
+    assert "UMBRA, as published, damped" in opened.text_content("#stability-plot .legend")
 
 
 @needs_browser

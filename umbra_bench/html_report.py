@@ -37,10 +37,12 @@ def render_html(
     skips: Sequence[dict[str, Any]],
     environment: dict[str, Any],
     changed: Any = None,
+    curves: pl.DataFrame | None = None,
 ) -> str:
     """The page. Everything that an author wrote is escaped.
 
     `changed`: :class:`umbra_bench.report.Changed`, where the run is compared with another.
+    `curves`: of the claims' figures, where they were measured.
     """
     page = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
@@ -64,7 +66,7 @@ def render_html(
         style=Markup((_TEMPLATES / "style.css").read_text(encoding="utf-8")),  # noqa: S704
         script=Markup((_TEMPLATES / "explorer.js").read_text(encoding="utf-8")),  # noqa: S704
         plotly=Markup(get_plotlyjs()),  # noqa: S704 -- the library's own text
-        data=_script_json(explorer_data(tables)),
+        data=_script_json({**explorer_data(tables), "stability": _stability(curves)}),
     )
 
 
@@ -123,6 +125,27 @@ def explorer_data(tables: Sequence[ScenarioTables]) -> dict[str, Any]:
         ],
         "scenarios": [_scenario_data(t) for t in tables],
     }
+
+
+def _stability(curves: pl.DataFrame | None) -> list[dict[str, Any]]:
+    """Growth per step against omega dt: each method measured, and what theory says."""
+    if curves is None:
+        return []
+    table = curves.filter(pl.col("proof") == "stability")
+    found = []
+    for series in table["series"].unique(maintain_order=True):
+        rows = table.filter(pl.col("series") == series)
+        method, _, damped = series.partition(", ")
+        look = look_of(method)
+        found.append(
+            {
+                "title": method_title(method) + (f", {damped}" if damped else ""),
+                "colour": look.colour,
+                "dash": "dot" if damped else _dash(look.line),
+                **{name: rows[name].to_list() for name in ("x", "measured", "predicted")},
+            }
+        )
+    return found
 
 
 def _dash(line: Any) -> str:

@@ -60,6 +60,7 @@ def write_report(
             skips=load_table("skips", results).to_dicts(),
             environment=load_json(results / "environment.json"),
             changed=changed,
+            curves=load_table("claims_curves", results) if _claims(results) else None,
         ),
     }
     for name, text in pages.items():

@@ -138,6 +138,14 @@
     }
   };
 
+  const drawStability = () => {
+    if (!document.getElementById("stability-plot") || !data.stability.length) return;
+    const traces = data.stability.flatMap((line) => [
+      { x: line.x, y: line.predicted, mode: "lines", line: { color: "#9aa4b1", width: 6 }, opacity: 0.5, showlegend: false, hoverinfo: "skip" },
+      { name: line.title, x: line.x, y: line.measured, mode: "lines", line: stroke(line), hovertemplate: "%{fullData.name}<br>ω dt = %{x:.2f}<br>growth %{y:.4g}<extra></extra>" },
+    ]);
+    Plotly.react("stability-plot", traces, layout("ω dt", "growth per step", { yaxis: { range: [0.4, 3] } }), config);
+  };
   const draw = () => {
     const scenario = scenarios.get(state.scenario);
     const lines = linesOf(scenario);
@@ -153,6 +161,7 @@
     drawErrors(scenario, lines);
     drawEnergy(scenario, lines);
     drawMotion(scenario, lines);
+    drawStability();
     listValues(scenario, lines);
   };
   const change = (changes) => { Object.assign(state, changes); writeAddress(); draw(); };
