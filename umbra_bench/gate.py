@@ -237,6 +237,17 @@ def measure_lines(
     return measurement
 
 
+def measure_truth(name: str) -> tuple[Measurement, Reference]:
+    """The reference of a scenario alone, and what the gate keeps of it.
+
+    Raises:
+        UmbraBenchError: as :func:`measure_lines`.
+    """
+    scenario = load_scenario(name)
+    reference = certified_reference(scenario)
+    return _measure_scenario((scenario, [], reference)), reference
+
+
 def _measure_scenario(task: tuple[Scenario, list[Line], Reference | None]) -> Measurement:
     scenario, lines, reference = task
     if reference is None:

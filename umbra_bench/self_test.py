@@ -28,6 +28,7 @@ from umbra_bench.gate import (
     judge,
     load_baseline,
     measure_lines,
+    measure_truth,
 )
 from umbra_bench.gate_output import number, worst_first
 from umbra_bench.reference import Reference, certified_reference
@@ -166,14 +167,18 @@ class Examiner:
     def examine(self, change: Change) -> list[Judgement]:
         """What the gate says of a change, of the lines that it names."""
         lines = [Line(*line.split("/")) for line in change.lines]
-        references = None
+        scenarios = {line.scenario for line in lines}
         if not change.moves_truth:
-            for line in lines:
-                if line.scenario not in self._references:
-                    scenario = load_scenario(line.scenario)
-                    self._references[line.scenario] = certified_reference(scenario)
-            references = self._references
+            for name in scenarios - set(self._references):
+                self._references[name] = certified_reference(load_scenario(name))
+            with changed(change):
+                return judge(measure_lines(lines, references=self._references), self._baseline)
         with changed(change):
+            moved = {name: measure_truth(name) for name in scenarios}
+            found = [j for truth, _ in moved.values() for j in judge(truth, self._baseline)]
+            if exit_code(found) == 1:  # the truth itself tells: no method need be run
+                return found
+            references = {name: reference for name, (_, reference) in moved.items()}
             return judge(measure_lines(lines, references=references), self._baseline)
 
 
