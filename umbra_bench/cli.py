@@ -154,7 +154,7 @@ def report(results: Path, output: Path, summary: bool, against: Path | None) -> 
 def identify(method: str, scenarios: tuple[str, ...]) -> None:
     """Tell which textbook integrator METHOD is, from its trajectories."""
     _prepare()
-    from umbra_bench.identify import examine, print_examination
+    from umbra_bench.engine_table import examine, print_examination
     from umbra_bench.scenario import load_scenario
 
     print_examination(examine(method, [load_scenario(name) for name in scenarios]))

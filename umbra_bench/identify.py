@@ -10,27 +10,21 @@ from __future__ import annotations
 
 import functools
 import math
-import os
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from umbra_bench.analysis.identity import undamped
 from umbra_bench.errors import UmbraBenchError, UnsupportedScenario
 from umbra_bench.integrators import INTEGRATORS, Integrator, kick
 from umbra_bench.methods import find_method
 from umbra_bench.metrics import gyration, position_distance, velocity_distance
-from umbra_bench.reference import certified_reference
 from umbra_bench.scenario import Scenario, load_scenario
 from umbra_bench.simulation import simulate
 from umbra_bench.state import State
-from umbra_bench.study import measure, orders_of, run_on_grid
 from umbra_bench.system import System, build_system, initial_state
 from umbra_bench.umbra.bodies import Array
-from umbra_bench.wording import number
 
 SCENARIOS = ("spring", "elastic_pendulum", "orbit_eccentric", "torsion_spring")
 """Where methods are told apart unless the user names others: linear, nonlinear, turning."""
@@ -287,71 +281,4 @@ def _trajectory(
         np.stack([s.position for s in states]),
         np.stack([s.velocity for s in states]),
         np.stack(accelerations),
-    )
-
-
-class Examination(NamedTuple):
-    """What a method was found to be, and how it does on the spring.
-
-    Attributes:
-        position_order, velocity_order: observed over steps of 0.04 to 0.005 s; NaN where none shows.
-        energy_100, energy_60: the largest energy error over the energy scale at 100 and 60 steps a
-            second.
-    """
-
-    identity: Identity
-    position_order: float
-    velocity_order: float
-    energy_100: float
-    energy_60: float
-
-
-def examine(method: str, scenarios: Sequence[Scenario] = ()) -> Examination:
-    """Identify a method and measure it on the spring of the project.
-
-    Raises:
-        UmbraBenchError: as :func:`identify`.
-    """
-    identity = identify(method, scenarios)
-    spring = load_scenario("spring").with_sweep(0.04, 3)
-    reference = certified_reference(spring)
-    runs = [
-        measure(run_on_grid(spring, reference, method, dt, identity.precision), reference)
-        for dt in spring.steps
-    ]
-    orders = {row["quantity"]: row["order"] for row in orders_of(runs, reference)}
-
-    def energy(rate: int) -> float:
-        steps = round(spring.duration * rate)
-        run = simulate(spring, method, 1.0 / rate, steps=steps, precision=identity.precision)
-        start = reference.observables.energy[0]
-        extremes = np.array([run.low.energy.min(), run.high.energy.max()], float)
-        return float(np.abs(extremes - start).max() / reference.scales.energy)
-
-    return Examination(identity, orders["position"], orders["velocity"], energy(100), energy(60))
-
-
-def print_examination(examined: Examination) -> None:
-    """Print the answer, and the candidates from the nearest to the farthest."""
-    found = examined.identity
-    console = Console(width=None if os.isatty(1) else 120, highlight=False)
-    print_line = functools.partial(console.print, markup=False, soft_wrap=True)
-    print_line(f"{found.method} ({found.precision}): {found.integrator}")
-    print_line(f"its velocity {found.velocity}")
-    print_line(
-        f"on the spring: observed order {number(examined.position_order)} in position, "
-        f"{number(examined.velocity_order)} in velocity; energy off by up to "
-        f"{number(100 * examined.energy_100)} % at 100 steps a second, "
-        f"{number(100 * examined.energy_60)} % at 60"
-    )
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("candidate")
-    table.add_column("positions apart", justify="right")
-    table.add_column("velocities apart", justify="right")
-    for c in found.comparisons:
-        table.add_row(CANDIDATES[c.candidate][0], number(c.position), number(c.velocity))
-    console.print(table)
-    print_line(
-        f"in units of {found.precision}'s round-off as the motion magnifies it, largest over "
-        f"{found.runs} runs of {STEPS} steps; up to {MATCH:g} is a match"
     )

@@ -51,16 +51,17 @@ def write_report(
     jobs = [(t, name, folder) for t in tables for name in FIGURES]
     for done, path in enumerate(map_in_processes(_draw, jobs), start=1):
         listener(path.name, done, len(jobs))
+    claims = _claims(results)
     pages = {
         "index.md": render_page(tables, results, changed),
         "index.html": render_html(
             tables,
-            claims=_claims(results),
+            claims=claims,
             engines=_engines(results),
             skips=load_table("skips", results).to_dicts(),
             environment=load_json(results / "environment.json"),
             changed=changed,
-            curves=load_table("claims_curves", results) if _claims(results) else None,
+            curves=load_table("claims_curves", results) if claims else None,
         ),
     }
     for name, text in pages.items():

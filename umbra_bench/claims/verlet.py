@@ -24,6 +24,17 @@ SAME = 1e-6
 """Two methods whose positions differ by no more than this part of their error are one."""
 
 
+COMPARED = ("spring", "orbit_circular", "orbit_eccentric", "elastic_pendulum")
+"""Where the integrator is compared with semi-implicit Euler, at dt = 0.01 s."""
+
+
+def _ratio(
+    lab: Lab, name: str, column: str, *, of: str = "", over: str = "semi-implicit-euler"
+) -> float:
+    """An error of the subject, or of another method, over that of a method to be beaten."""
+    return lab.at_step(name, of or lab.subject, column) / lab.at_step(name, over, column)
+
+
 @statement("umbra-second-order", VERLET, "UMBRA's integrator is of second order.")
 def second_order(lab: Lab) -> Evidence:
     orders = {
@@ -112,14 +123,8 @@ def symplectic(lab: Lab) -> Evidence:
     "UMBRA's integrator conserves energy more accurately than semi-implicit Euler.",
 )
 def better_energy(lab: Lab) -> Evidence:
-    ratios = {
-        name: lab.at_step(name, lab.subject, "energy_error_max")
-        / lab.at_step(name, "semi-implicit-euler", "energy_error_max")
-        for name in ("spring", "orbit_circular", "orbit_eccentric", "elastic_pendulum")
-    }
-    verlet = lab.at_step("spring", lab.subject, "energy_error_max") / lab.at_step(
-        "spring", "velocity-verlet", "energy_error_max"
-    )
+    ratios = {name: _ratio(lab, name, "energy_error_max") for name in COMPARED}
+    verlet = _ratio(lab, "spring", "energy_error_max", over="velocity-verlet")
     velocity = identify(lab.subject, [lab.scenario("spring")]).velocity
     return Evidence(
         required=tuple(
@@ -141,11 +146,7 @@ def better_energy(lab: Lab) -> Evidence:
     "Averaging the accelerations gives smoother, more accurate trajectories.",
 )
 def smoother(lab: Lab) -> Evidence:
-    ratios = {
-        name: lab.at_step(name, lab.subject, "position_error_max")
-        / lab.at_step(name, "semi-implicit-euler", "position_error_max")
-        for name in ("spring", "orbit_circular", "orbit_eccentric", "elastic_pendulum")
-    }
+    ratios = {name: _ratio(lab, name, "position_error_max") for name in COMPARED}
     return Evidence(
         required=tuple(
             at_most(f"its largest position error over semi-implicit Euler's, {name}", ratio, 0.99)
@@ -165,12 +166,8 @@ def smoother(lab: Lab) -> Evidence:
     "Storing the last acceleration is a small cost for measurably better quality.",
 )
 def stored_acceleration_pays(lab: Lab) -> Evidence:
-    ratio = lab.at_step("spring", lab.subject, "position_error_max") / lab.at_step(
-        "spring", "semi-implicit-euler", "position_error_max"
-    )
-    repaired = lab.at_step("spring", "umbra-repaired", "position_error_max") / lab.at_step(
-        "spring", "semi-implicit-euler", "position_error_max"
-    )
+    ratio = _ratio(lab, "spring", "position_error_max")
+    repaired = _ratio(lab, "spring", "position_error_max", of="umbra-repaired")
     return Evidence(
         required=(
             at_most(
