@@ -17,7 +17,7 @@ import numpy as np
 
 from umbra_bench.integrators import INTEGRATORS, Integrator
 from umbra_bench.jax_settings import float64_allowed
-from umbra_bench.state import State, angular_momentum, linear_momentum
+from umbra_bench.state import State, angular_momentum
 from umbra_bench.system import System
 from umbra_bench.umbra.bodies import Array, UmbraState
 from umbra_bench.umbra.pipeline import apply_damping, step
@@ -46,29 +46,47 @@ def _textbook(integrator: Integrator) -> CompiledMethod:
     return CompiledMethod(lambda system, state: state, damped_step)
 
 
-def _umbra_start(system: System, state: State) -> UmbraState:
-    return UmbraState.at(state.position, state.velocity)
+class BetweenFrames(NamedTuple):
+    """What UMBRA carries from frame to frame, shape (3, N) each: its accumulators are empty then."""
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+
+    @classmethod
+    def of(cls, state: UmbraState) -> BetweenFrames:
+        return cls(state.position, state.velocity, state.acceleration)
+
+    @property
+    def umbra(self) -> UmbraState:
+        """The state as UMBRA keeps it, nothing accumulated."""
+        return UmbraState.at(self.position, self.velocity)._replace(acceleration=self.acceleration)
 
 
-def _umbra_step(system: System, state: UmbraState, dt: Array) -> UmbraState:
+def _umbra_start(system: System, state: State) -> BetweenFrames:
+    return BetweenFrames.of(UmbraState.at(state.position, state.velocity))
+
+
+def _umbra_step(system: System, state: BetweenFrames, dt: Array) -> BetweenFrames:
     """What a game does: apply the forces of the state that it sees, then step."""
-    return step(system.bodies, _with_forces(system, state), dt)
+    return BetweenFrames.of(step(system.bodies, _with_forces(system, state), dt))
 
 
-def _uncorrected_step(system: System, state: UmbraState, dt: Array) -> UmbraState:
-    return uncorrected_step(system.bodies, _with_forces(system, state), dt)
+def _uncorrected_step(system: System, state: BetweenFrames, dt: Array) -> BetweenFrames:
+    return BetweenFrames.of(uncorrected_step(system.bodies, _with_forces(system, state), dt))
 
 
-def _with_forces(system: System, state: UmbraState) -> UmbraState:
-    return state._replace(force=state.force + system.force(state.position, state.velocity))
+def _with_forces(system: System, state: BetweenFrames) -> UmbraState:
+    return state.umbra._replace(force=system.force(state.position, state.velocity))
 
 
-def _repaired_start(system: System, state: State) -> UmbraState:
-    return primed(system.bodies, _umbra_start(system, state), system.force)
+def _repaired_start(system: System, state: State) -> BetweenFrames:
+    start = UmbraState.at(state.position, state.velocity)
+    return BetweenFrames.of(primed(system.bodies, start, system.force))
 
 
-def _repaired_step(system: System, state: UmbraState, dt: Array) -> UmbraState:
-    return repaired_step(system.bodies, state, dt, system.force)
+def _repaired_step(system: System, state: BetweenFrames, dt: Array) -> BetweenFrames:
+    return BetweenFrames.of(repaired_step(system.bodies, state.umbra, dt, system.force))
 
 
 COMPILED_METHODS: dict[str, CompiledMethod] = {
@@ -84,23 +102,18 @@ COMPILED_METHODS: dict[str, CompiledMethod] = {
 class Observables(NamedTuple):
     """What is streamed over every step: scalars inside the loop, arrays of them outside.
 
-    Energy in J, angular momentum about the origin in N m s, linear momentum in N s.
+    Energy in J, angular momentum about the origin in N m s.
     """
 
     energy: Array
     angular_momentum: Array
-    momentum_x: Array
-    momentum_y: Array
 
 
 def observe(system: System, position: Array, velocity: Array) -> Observables:
     """Measure one state, shape (3, N) each."""
-    px, py = linear_momentum(system.bodies, velocity)
     return Observables(
         system.energy(position, velocity),
         angular_momentum(system.bodies, position, velocity),
-        px,
-        py,
     )
 
 
@@ -146,38 +159,69 @@ def _advance(
     energy_limit: Array,
     stride: Array,
     samples: Array,
-) -> tuple[Progress, Array, Array, Array]:
+) -> tuple[Progress, Recording]:
     def one_step(n: Array, carry: Any) -> Any:
-        state, broken, extremes = carry
+        state, broken, low, high = carry
         # The state that is about to step is measured, so that the distances which energy and forces
-        # share are computed once; highest values and highest negative values are one comparison.
+        # share are computed once.
         seen = observe(system, state.position, state.velocity)
-        extremes = jnp.maximum(extremes, jnp.stack([*seen, *map(jnp.negative, seen)]))
+        low, high = jax.tree.map(jnp.minimum, low, seen), jax.tree.map(jnp.maximum, high, seen)
         within = abs(seen.energy) <= energy_limit  # false for NaN as well
         broken = jnp.minimum(broken, jnp.where(within, NEVER, n))
-        return method.step(system, state, dt), broken, extremes
-
-    def to_next_sample(progress: Progress) -> tuple[Progress, Array]:
-        state, steps, broken = progress
-        none = jnp.full(2 * len(Observables._fields), -jnp.inf, state.position.dtype)
-        state, broken, extremes = jax.lax.fori_loop(
-            steps, steps + stride, one_step, (state, broken, none)
-        )
-        return Progress(state, steps + stride, broken), extremes
+        return method.step(system, state, dt), broken, low, high
 
     small = progress.state.position.shape[1] <= SMALL
+    carried = _by_component if small else _whole
+
+    def to_next_sample(progress: Progress) -> tuple[Progress, Observables, Observables]:
+        state, steps, broken = progress
+        dtype = state.position.dtype
+        low, high = (Observables(*[dtype.type(end)] * 2) for end in (jnp.inf, -jnp.inf))
+        apart, together = carried(state)
+
+        def body(n: Array, carry: Any) -> Any:
+            parts, *streamed = carry
+            state, *streamed = one_step(n, (together(parts), *streamed))
+            return (apart(state), *streamed)
+
+        parts, broken, low, high = jax.lax.fori_loop(
+            steps, steps + stride, body, (apart(state), broken, low, high)
+        )
+        return Progress(together(parts), steps + stride, broken), low, high
+
     advance = _as_one_function(to_next_sample) if small else to_next_sample
 
     def store(s: Array, carry: Any) -> Any:
-        progress, *recorded = carry
-        progress, extremes = advance(progress)
-        sample = (progress.state.position, progress.state.velocity, extremes)
-        return progress, *(all.at[s].set(one) for all, one in zip(recorded, sample, strict=True))
+        progress, recording = carry
+        progress, low, high = advance(progress)
+        sample = Recording(progress.state.position, progress.state.velocity, low, high)
+        return progress, jax.tree.map(lambda all, one: all.at[s].set(one), recording, sample)
 
     x = progress.state.position
-    states = jnp.zeros((capacity, *x.shape), x.dtype)
-    extremes = jnp.zeros((capacity, 2 * len(Observables._fields)), x.dtype)
-    return jax.lax.fori_loop(0, samples, store, (progress, states, states, extremes))
+    states, scalars = jnp.zeros((capacity, *x.shape), x.dtype), jnp.zeros(capacity, x.dtype)
+    extremes = Observables(scalars, scalars)
+    recording = Recording(states, states, extremes, extremes)
+    return jax.lax.fori_loop(0, samples, store, (progress, recording))
+
+
+def _by_component(like: Any) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+    """How a loop carries a small state: row by row, so that no row waits for the others.
+
+    A third of the time of a single body is saved; thousands of bodies are better off whole.
+    """
+    _, shape = jax.tree.flatten(like)
+
+    def apart(state: Any) -> Any:
+        return [jnp.unstack(array) for array in jax.tree.leaves(state)]
+
+    def together(parts: Any) -> Any:
+        return jax.tree.unflatten(shape, [jnp.stack(rows) for rows in parts])
+
+    return apart, together
+
+
+def _whole(like: Any) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+    return (lambda state: state), (lambda state: state)
 
 
 def _as_one_function(loop: Callable[[Progress], Any]) -> Callable[[Progress], Any]:
@@ -224,21 +268,21 @@ class CompiledRun:
 
     def compile(self, samples: int) -> None:
         """Compile what `advance` will need for this number of samples, without taking a step."""
-        self._run(0, 0, _capacity(samples))
+        self._run(0, 0, room_for=samples)
 
     def advance(self, stride: int, samples: int) -> Recording:
         """Take `stride` x `samples` steps and return the samples, as NumPy arrays."""
-        self._progress, *recorded = self._run(stride, samples, _capacity(samples))
-        position, velocity, extremes = (np.asarray(all)[:samples] for all in recorded)
-        high, negative_low = np.split(extremes.T, 2)
-        return Recording(position, velocity, Observables(*-negative_low), Observables(*high))
+        self._progress, recording = self._run(stride, samples)
+        return jax.tree.map(lambda all: np.asarray(all)[:samples], recording)
 
     @property
     def intact_steps(self) -> int:
         """For how many steps from the start the energy was finite and within its limit."""
         return int(min(self._progress.steps, self._progress.broken))
 
-    def _run(self, stride: int, samples: int, capacity: int) -> Any:
+    def _run(self, stride: int, samples: int, room_for: int | None = None) -> Any:
+        bodies = self._progress.state.position.shape[1]
+        capacity = _capacity(room_for or samples, bodies)
         with float64_allowed():
             return jax.block_until_ready(  # type: ignore[no-untyped-call]
                 _advance(
@@ -254,6 +298,7 @@ class CompiledRun:
             )
 
 
-def _capacity(samples: int) -> int:
+def _capacity(samples: int, bodies: int) -> int:
     """Room for samples, in powers of two: another number of them rarely needs another program."""
-    return max(256, 1 << (samples - 1).bit_length())
+    least = 256 if bodies <= SMALL else 1
+    return max(least, 1 << (samples - 1).bit_length())

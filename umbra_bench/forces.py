@@ -43,7 +43,7 @@ class ForceLaw(Protocol):
         ...
 
     def potential(self, position: Array) -> Array:
-        """Potential energy of all bodies together, J; zero for a law that has none."""
+        """Potential energy of each row of the law, J, of any shape; zero for a law that has none."""
         ...
 
 
@@ -141,7 +141,7 @@ class UniformGravity:
         return self.weight
 
     def potential(self, position: Array) -> Array:
-        return -(self.weight * position)[:2].sum()
+        return -(self.weight[0] * position[0] + self.weight[1] * position[1])
 
 
 @jax.tree_util.register_dataclass
@@ -184,7 +184,7 @@ class Spring:
 
     def potential(self, position: Array) -> Array:
         _, reach = self._reach(position)
-        return (0.5 * self.stiffness * (_length(reach) - self.rest_length) ** 2).sum()
+        return 0.5 * self.stiffness * (_length(reach) - self.rest_length) ** 2
 
     def _reach(self, position: Array) -> tuple[Array | None, Array]:
         """The arm r = R p (None: no arm) and the vector d from the far end to the held point."""
@@ -231,7 +231,7 @@ class TorsionSpring:
 
     def potential(self, position: Array) -> Array:
         twist = angle_difference(self.acting.take(position)[2], self.rest_angle)
-        return (0.5 * self.stiffness * twist**2).sum()
+        return 0.5 * self.stiffness * twist**2
 
 
 @jax.tree_util.register_dataclass
@@ -254,7 +254,7 @@ class CentralGravity:
 
     def potential(self, position: Array) -> Array:
         _, _, inverse = self._from_centre(position)
-        return -(self.strength * inverse).sum()
+        return -(self.strength * inverse)
 
     def _from_centre(self, position: Array) -> tuple[Array, Array, Array]:
         """The vector r and 1/|r|, which force and potential share."""
@@ -288,7 +288,7 @@ class MutualGravity:
         _, square, others = self._pairs(position)
         products = self.mass[:, None] * self.mass[None, :]
         pairs = xp.where(others, products / xp.sqrt(square), 0.0)
-        return -0.5 * self.gravitational_constant * pairs.sum()
+        return -0.5 * self.gravitational_constant * pairs
 
     def _pairs(self, position: Array) -> tuple[Array, Array, Array]:
         """Gaps x_j - x_i, shape (2, S, S) as [:, j, i]; their squares, 1 where i = j; where i != j."""
@@ -324,7 +324,7 @@ class WorldForce:
         place = held[:2]
         if self.point is not None:
             place = place + _rotated(self.point, held[2])
-        return -(self.push * place).sum()
+        return -(self.push * place).sum(0)
 
 
 @jax.tree_util.register_dataclass

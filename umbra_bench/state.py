@@ -25,10 +25,10 @@ def inertial_mass(bodies: Bodies) -> Array:
 
 
 def kinetic_energy(bodies: Bodies, velocity: Array) -> Array:
-    """T = sum of m v^2/2 + I omega^2/2, J."""
+    """T = m v^2/2 + I omega^2/2 of each body, J, shape (N,)."""
     mx, my, inertia = inertial_mass(bodies)
     vx, vy, omega = velocity
-    return 0.5 * (mx * vx * vx + my * vy * vy + inertia * omega * omega).sum()
+    return 0.5 * (mx * vx * vx + my * vy * vy + inertia * omega * omega)
 
 
 def linear_momentum(bodies: Bodies, velocity: Array) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -54,11 +54,24 @@ class System(NamedTuple):
         """V, J, of the forces that have a potential."""
         if not self.laws:
             return position.__array_namespace__().zeros_like(position[0, 0])
-        return functools.reduce(operator.add, (law.potential(position) for law in self.laws))
+        return _total(law.potential(position) for law in self.laws)
 
     def energy(self, position: Array, velocity: Array) -> Array:
         """E = T + V, J."""
-        return kinetic_energy(self.bodies, velocity) + self.potential_energy(position)
+        potentials = (law.potential(position) for law in self.laws)
+        return _total([kinetic_energy(self.bodies, velocity), *potentials])
+
+
+def _total(energies: Iterable[Array]) -> Array:
+    """The sum of all that some arrays hold; those of one shape are added first.
+
+    A reduction costs a compiled loop more than the arithmetic before it: one is better than two.
+    """
+    of_shape: dict[tuple[int, ...], Array] = {}
+    for energy in energies:
+        seen = of_shape.get(energy.shape)
+        of_shape[energy.shape] = energy if seen is None else seen + energy
+    return functools.reduce(operator.add, (energy.sum() for energy in of_shape.values()))
 
 
 def build_system(scenario: Scenario, precision: str = "float64") -> System:
