@@ -149,6 +149,47 @@ def report(results: Path, output: Path, summary: bool, against: Path | None) -> 
 
 
 @cli.command()
+@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--workers", type=click.IntRange(1, 4096), help="Processes here, through Dask.")
+@click.option("--scheduler", help="The address of a Dask scheduler, such as tcp://host:8786.")
+@click.option("--restart", is_flag=True, help="Forget what an earlier run of this sweep left.")
+@click.option("--results", type=_FOLDER, default="results", show_default=True)
+@click.option("--output", type=_FOLDER, default="reports", show_default=True)
+def sweep(
+    file: Path,
+    workers: int | None,
+    scheduler: str | None,
+    restart: bool,
+    results: Path,
+    output: Path,
+) -> None:
+    """Run the scenario of a sweep FILE with many values of its numbers; draw what comes of it.
+
+    An interrupted sweep goes on where it was: the same command again.
+    """
+    if workers and scheduler:
+        raise click.UsageError(
+            "--workers starts a cluster, --scheduler names one: give one of them"
+        )
+    _prepare()
+    from umbra_bench.sweep import figures, plan, work
+
+    planned = plan.load_plan(file)
+    with _progress("Sweep") as listener:
+        table = work.run_sweep(
+            planned,
+            results,
+            workers=workers,
+            scheduler=scheduler,
+            restart=restart,
+            listener=listener,
+        )
+    click.echo(f"{table}: {planned.runs} runs")
+    for path in figures.draw_sweep(planned, table, output / "sweeps"):
+        click.echo(f"{path}")
+
+
+@cli.command()
 @click.argument("method")
 @click.argument("scenarios", nargs=-1, metavar="[SCENARIO ...]")
 def identify(method: str, scenarios: tuple[str, ...]) -> None:

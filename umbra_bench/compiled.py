@@ -149,6 +149,41 @@ class Recording(NamedTuple):
     high: Observables
 
 
+class Streamed(NamedTuple):
+    """What a loop must not miss between two samples.
+
+    Attributes:
+        broken: as in :class:`Progress`.
+        low, high: the extremes of the observables so far.
+    """
+
+    broken: Array
+    low: Observables
+    high: Observables
+
+
+def streamed_step(
+    method: CompiledMethod,
+    system: System,
+    dt: Array,
+    energy_limit: Array,
+    n: Array,
+    state: Any,
+    streamed: Streamed,
+) -> tuple[Any, Streamed]:
+    """Take step `n`, and stream what is to be seen of the state before it."""
+    # The state that is about to step is measured, so that the distances which energy and forces
+    # share are computed once.
+    seen = observe(system, state.position, state.velocity)
+    within = abs(seen.energy) <= energy_limit  # false for NaN as well
+    streamed = Streamed(
+        jnp.minimum(streamed.broken, jnp.where(within, NEVER, n)),
+        jax.tree.map(jnp.minimum, streamed.low, seen),
+        jax.tree.map(jnp.maximum, streamed.high, seen),
+    )
+    return method.step(system, state, dt), streamed
+
+
 @functools.partial(jax.jit, static_argnames=("method", "capacity"))
 def _advance(
     method: CompiledMethod,
@@ -160,18 +195,8 @@ def _advance(
     stride: Array,
     samples: Array,
 ) -> tuple[Progress, Recording]:
-    def one_step(n: Array, carry: Any) -> Any:
-        state, broken, low, high = carry
-        # The state that is about to step is measured, so that the distances which energy and forces
-        # share are computed once.
-        seen = observe(system, state.position, state.velocity)
-        low, high = jax.tree.map(jnp.minimum, low, seen), jax.tree.map(jnp.maximum, high, seen)
-        within = abs(seen.energy) <= energy_limit  # false for NaN as well
-        broken = jnp.minimum(broken, jnp.where(within, NEVER, n))
-        return method.step(system, state, dt), broken, low, high
-
     small = progress.state.position.shape[1] <= SMALL
-    carried = _by_component if small else _whole
+    carried = by_component if small else _whole
 
     def to_next_sample(progress: Progress) -> tuple[Progress, Observables, Observables]:
         state, steps, broken = progress
@@ -179,17 +204,19 @@ def _advance(
         low, high = (Observables(*[dtype.type(end)] * 2) for end in (jnp.inf, -jnp.inf))
         apart, together = carried(state)
 
-        def body(n: Array, carry: Any) -> Any:
-            parts, *streamed = carry
-            state, *streamed = one_step(n, (together(parts), *streamed))
-            return (apart(state), *streamed)
+        def one_step(n: Array, carry: tuple[Any, Streamed]) -> tuple[Any, Streamed]:
+            parts, streamed = carry
+            state, streamed = streamed_step(
+                method, system, dt, energy_limit, n, together(parts), streamed
+            )
+            return apart(state), streamed
 
-        parts, broken, low, high = jax.lax.fori_loop(
-            steps, steps + stride, body, (apart(state), broken, low, high)
+        parts, (broken, low, high) = jax.lax.fori_loop(
+            steps, steps + stride, one_step, (apart(state), Streamed(broken, low, high))
         )
         return Progress(together(parts), steps + stride, broken), low, high
 
-    advance = _as_one_function(to_next_sample) if small else to_next_sample
+    advance = as_one_function(to_next_sample) if small else to_next_sample
 
     def store(s: Array, carry: Any) -> Any:
         progress, recording = carry
@@ -204,7 +231,7 @@ def _advance(
     return jax.lax.fori_loop(0, samples, store, (progress, recording))
 
 
-def _by_component(like: Any) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+def by_component(like: Any) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
     """How a loop carries a small state: row by row, so that no row waits for the others.
 
     A third of the time of a single body is saved; thousands of bodies are better off whole.
@@ -224,7 +251,7 @@ def _whole(like: Any) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
     return (lambda state: state), (lambda state: state)
 
 
-def _as_one_function(loop: Callable[[Progress], Any]) -> Callable[[Progress], Any]:
+def as_one_function(loop: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """Ask XLA to compile a loop as one function of its own, as it does unasked for the smallest.
 
     Without the request (an older or newer JAX without this door) the result is the same, slower.

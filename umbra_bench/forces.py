@@ -155,7 +155,7 @@ class Spring:
 
     conservative: ClassVar[bool] = True
     stiffness: Array  # (S,), N/m
-    rest_length: Array  # (S,), m
+    rest_length: Array | None  # (S,), m; None where no spring has any
     damping: Array | None  # (S,), N s/m; None where no spring has any
     anchor: Array | None  # (2, S), m; None where the far end is a body
     point: Array | None  # (2, S), m, body coordinates; None where all hold the centre of mass
@@ -169,11 +169,12 @@ class Spring:
     def force(self, position: Array, velocity: Array) -> Array:
         xp = position.__array_namespace__()
         arm, reach = self._reach(position)
-        inverse = _inverse(_length(reach))
-        tension = -self.stiffness * (1.0 - self.rest_length * inverse)
+        tension = -self.stiffness
+        if self.rest_length is not None:
+            tension = tension * (1.0 - self.rest_length * _inverse(_length(reach)))
         if self.damping is not None:
             rate = self._rate(velocity, arm)
-            tension = tension - self.damping * (reach * rate).sum(0) * inverse**2
+            tension = tension - self.damping * (reach * rate).sum(0) * _inverse(_length(reach)) ** 2
         pull = tension * reach
         none = xp.zeros_like(tension)
         torque = none if arm is None else _cross(arm, pull)
@@ -184,6 +185,8 @@ class Spring:
 
     def potential(self, position: Array) -> Array:
         _, reach = self._reach(position)
+        if self.rest_length is None:
+            return 0.5 * self.stiffness * (reach**2).sum(0)
         return 0.5 * self.stiffness * (_length(reach) - self.rest_length) ** 2
 
     def _reach(self, position: Array) -> tuple[Array | None, Array]:
@@ -450,7 +453,7 @@ class _Builder:
         return [
             Spring(
                 stiffness=self.array(t.stiffness for t in tables),
-                rest_length=self.array(t.rest_length for t in tables),
+                rest_length=self.optional(t.rest_length for t in tables),
                 damping=self.optional(t.damping for t in tables),
                 anchor=self.array(t.anchor for t in tables) if to_world else None,
                 point=self.optional(t.point for t in tables),

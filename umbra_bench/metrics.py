@@ -16,6 +16,9 @@ import numpy as np
 
 from umbra_bench.umbra.bodies import Bodies
 
+DIVERGENCE = 1e12
+"""An energy beyond this multiple of the scenario's energy scale counts as a divergence."""
+
 FLOOR_FACTOR = 10.0
 """An error below this multiple of the reference's certified bound is at the floor."""
 

@@ -18,6 +18,7 @@ import polars as pl
 from umbra_bench.errors import EngineFailed, UmbraBenchError, UnsupportedScenario
 from umbra_bench.methods import METHODS, PRECISIONS, find_method
 from umbra_bench.metrics import (
+    DIVERGENCE,
     FLOOR_FACTOR,
     SMALL_ERROR,
     ErrorPoint,
@@ -30,9 +31,6 @@ from umbra_bench.parallel import map_in_processes
 from umbra_bench.reference import Reference, certified_reference
 from umbra_bench.scenario import Scenario
 from umbra_bench.simulation import Trajectory, simulate
-
-DIVERGENCE = 1e12
-"""An energy beyond this multiple of the scenario's energy scale counts as a divergence."""
 
 ENGINE_STEPS = 2000
 """The most steps of one engine run: engines step in Python, and games step at 0.01 s."""

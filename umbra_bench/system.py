@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -76,35 +76,32 @@ def _total(energies: Iterable[Array]) -> Array:
 
 def build_system(scenario: Scenario, precision: str = "float64") -> System:
     """The bodies and force laws of a scenario, as NumPy arrays of `precision`."""
-    _require_held(scenario, precision)
-    dtype = np.dtype(precision).type
-    bodies = Bodies.of([body_definition(body, scenario) for body in scenario.bodies], dtype)
+    definitions = [body_definition(body, scenario) for body in scenario.bodies]
+    _require_held(scenario, definitions, precision)
+    bodies = Bodies.of(definitions, np.dtype(precision).type)
     return System(bodies, build_laws(scenario, bodies))
 
 
-def _require_held(scenario: Scenario, precision: str) -> None:
+def _require_held(
+    scenario: Scenario, definitions: Sequence[BodyDefinition], precision: str
+) -> None:
     """Refuse a scenario whose bodies `precision` cannot hold.
 
     Raises:
         UnsupportedScenario: a mass, its inverse, a place or a velocity overflows.
     """
-    with np.errstate(all="ignore"):
-        for body in scenario.bodies:
-            definition = body_definition(body, scenario)
-            numbers = (
-                *(definition.mass, definition.moment_of_inertia, *definition.inverse_masses),
-                *(*body.position, body.angle, *body.velocity, body.angular_velocity),
+    largest = float(np.finfo(precision).max)
+    for body, d in zip(scenario.bodies, definitions, strict=True):
+        numbers = (d.mass, d.moment_of_inertia, *d.inverse_masses, *d.position, d.angle)
+        if any(abs(number) > largest for number in (*numbers, *d.velocity, d.angular_velocity)):
+            raise UnsupportedScenario(
+                f"scenario {scenario.name}: body {body.name!r} has a mass, a place or a "
+                f"velocity that {precision} does not hold"
             )
-            if not np.isfinite(np.array(numbers).astype(precision)).all():
-                raise UnsupportedScenario(
-                    f"scenario {scenario.name}: body {body.name!r} has a mass, a place or a "
-                    f"velocity that {precision} does not hold"
-                )
 
 
 def initial_state(scenario: Scenario, precision: str = "float64") -> State:
     """The state in which a scenario starts, shape (3, N) each, as NumPy arrays of `precision`."""
-    _require_held(scenario, precision)
     dtype = np.dtype(precision).type
     position = [(*body.position, body.angle) for body in scenario.bodies]
     velocity = [(*body.velocity, body.angular_velocity) for body in scenario.bodies]
@@ -126,23 +123,25 @@ def _compiled_force(document: str) -> Callable[[np.ndarray, np.ndarray], np.ndar
     return lambda position, velocity: np.asarray(force(position, velocity))
 
 
+_STATED = (
+    "mass",
+    "inertia",
+    "position",
+    "angle",
+    "velocity",
+    "angular_velocity",
+    "affected_by_gravity",
+    "kind",
+)
+"""What a scenario file states of a body in the words of the engine."""
+
+
 def body_definition(body: Body, scenario: Scenario) -> BodyDefinition:
     """A body of a scenario file as UMBRA defines bodies; its damping overrides the scenario's."""
     own = body.linear_damping, body.angular_damping
     shared = scenario.linear_damping, scenario.angular_damping
     linear, angular = (o if o is not None else s for o, s in zip(own, shared, strict=True))
-    values: dict[str, Any] = body.model_dump(
-        include={
-            "mass",
-            "inertia",
-            "position",
-            "angle",
-            "velocity",
-            "angular_velocity",
-            "affected_by_gravity",
-            "kind",
-        }
-    )
+    values = {key: getattr(body, key) for key in _STATED}
     match body.shape:
         case Box(width=width, height=height):
             values["box"] = (width, height)

@@ -61,13 +61,13 @@ class BodyDefinition:
 
     def __post_init__(self) -> None:
         for name in ("position", "angle", "velocity", "angular_velocity"):
-            if not np.all(np.isfinite(getattr(self, name))):
+            if not all(map(math.isfinite, _components(getattr(self, name)))):
                 raise ValueError(f"{name} = {getattr(self, name)!r}: expected finite numbers")
         for name in ("mass", "inertia", "disk_radius"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value >= 0.0):
                 raise ValueError(f"{name} = {value!r}: expected a finite number >= 0")
-        if self.box is not None and not (np.all(np.isfinite(self.box)) and min(self.box) > 0.0):
+        if self.box is not None and not all(0.0 < side < math.inf for side in self.box):
             raise ValueError(f"box = {self.box!r}: expected two finite numbers > 0")
         if self.box is not None and self.disk_radius is not None:
             raise ValueError(f"disk_radius = {self.disk_radius!r}: the body has a box already")
@@ -77,7 +77,7 @@ class BodyDefinition:
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: expected a number in (0, 1]")
         for name in ("velocity", "angular_velocity"):
-            if self.is_static and np.any(getattr(self, name)):
+            if self.is_static and any(_components(getattr(self, name))):
                 raise ValueError(f"{name} = {getattr(self, name)!r}: a static body does not move")
 
     @property
@@ -102,6 +102,10 @@ class BodyDefinition:
             return (0.0, 0.0, 0.0)
         inertia = self.moment_of_inertia
         return (1.0 / self.mass, 1.0 / self.mass, 1.0 / inertia if inertia > 0.0 else 0.0)
+
+
+def _components(value: float | tuple[float, ...]) -> tuple[float, ...]:
+    return value if isinstance(value, tuple) else (value,)
 
 
 class Bodies(NamedTuple):

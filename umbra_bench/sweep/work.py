@@ -1,0 +1,286 @@
+"""The work of a sweep: tasks, the parts that they write, in this process or on a Dask cluster.
+
+A task is a function of the plan and its number. Whoever runs it writes its part of the table, whole
+or not at all, into a folder that all can see, and answers with nothing but a count: the scheduler
+carries no results, a worker that dies costs its task, and what is written need not be done again.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import polars as pl
+
+from umbra_bench.compiled import COMPILED_METHODS
+from umbra_bench.errors import EngineFailed, ScenarioError, UmbraBenchError, UnsupportedScenario
+from umbra_bench.jax_settings import keep_compiled_code
+from umbra_bench.metrics import DIVERGENCE
+from umbra_bench.reference import observe_all
+from umbra_bench.results import load_json, replacing, save_json
+from umbra_bench.scenario import Scenario
+from umbra_bench.simulation import open_run
+from umbra_bench.state import kinetic_energy
+from umbra_bench.sweep.batch import Problem, batch_size, energy_scale, run_batch
+from umbra_bench.sweep.plan import Plan, Task
+from umbra_bench.system import build_system, initial_state
+
+_MEASURED: dict[str, Any] = {
+    "dt": pl.Float64,
+    "steps": pl.Int64,
+    "energy_start": pl.Float64,
+    "energy_scale": pl.Float64,
+    "energy_low": pl.Float64,
+    "energy_high": pl.Float64,
+    "energy_error_max": pl.Float64,
+    "angular_momentum_low": pl.Float64,
+    "angular_momentum_high": pl.Float64,
+    "diverged_at": pl.Float64,
+    "refused": pl.String,
+}
+
+
+def schema(plan: Plan) -> dict[str, Any]:
+    """The columns of a sweep's table: a row is a run.
+
+    `run` is its number within a method and precision; then come the keys that vary, under the names
+    that the sweep file gives them (a varied `dt` stands in `dt`). Energies in J, `energy_error_max`
+    is the largest |E - E(0)| over `energy_scale`, null where the scenario does not conserve energy;
+    `refused` says why a run could not be simulated.
+    """
+    keys = {key: pl.Float64 for key in plan.keys if key not in _MEASURED}
+    names = {"run": pl.Int64, "scenario": pl.String, "method": pl.String, "precision": pl.String}
+    return {**names, **keys, **_MEASURED}
+
+
+def run_task(plan: Plan, task: Task) -> pl.DataFrame:
+    """The rows of a task, in the order of its runs."""
+    measure = _batched if task.method in COMPILED_METHODS else _one_by_one
+    rows: dict[int, dict[str, Any]] = {}
+    runs: list[tuple[int, Scenario, float, int]] = []
+    for point in range(task.first, task.last):
+        values = plan.values(point)
+        rows[point] = {
+            "run": point,
+            "scenario": plan.document["name"],
+            "method": task.method,
+            "precision": task.precision,
+            **dict(zip(plan.keys, values, strict=True)),
+        }
+        try:
+            scenario = plan.scenario(values)
+            runs.append((point, scenario, *plan.step(values, scenario)))
+        except ScenarioError as error:
+            rows[point]["refused"] = str(error)
+    for point, found in measure(task, runs):
+        rows[point] |= found
+    return pl.DataFrame(list(rows.values()), schema(plan))
+
+
+Measured = Iterator[tuple[int, dict[str, Any]]]
+
+
+def _batched(task: Task, runs: Iterable[tuple[int, Scenario, float, int]]) -> Measured:
+    """Runs of one shape and number of steps side by side."""
+    dtype = np.dtype(task.precision).type
+    alike: dict[Any, list[tuple[int, bool, Problem]]] = {}
+    for point, scenario, dt, steps in runs:
+        try:
+            system = build_system(scenario, task.precision)
+        except UnsupportedScenario as error:
+            yield point, {"refused": str(error)}
+            continue
+        problem = Problem(system, initial_state(scenario, task.precision), dtype(dt))
+        leaves, form = jax.tree.flatten(problem)
+        shape = (steps, form, tuple(leaf.shape for leaf in leaves))
+        alike.setdefault(shape, []).append((point, system.conservative, problem))
+    for (steps, *_), members in alike.items():
+        size = batch_size(members[0][2].initial.position.shape[1])
+        for first in range(0, len(members), size):
+            points, conservative, problems = zip(*members[first : first + size], strict=True)
+            found = run_batch(task.method, problems, steps)
+            for i, point in enumerate(points):
+                low, high = (_at(extremes, i) for extremes in (found.low, found.high))
+                yield (
+                    point,
+                    _row(
+                        float(problems[i].dt),
+                        steps,
+                        float(found.start.energy[i]),
+                        float(found.energy_scale[i]),
+                        (low, high),
+                        int(found.intact_steps[i]),
+                        conservative[i],
+                    ),
+                )
+
+
+def _one_by_one(task: Task, runs: Iterable[tuple[int, Scenario, float, int]]) -> Measured:
+    """Runs of an engine, which steps in a program of its own."""
+    for point, scenario, dt, steps in runs:
+        system, first = build_system(scenario), initial_state(scenario)
+        start = float(system.energy(*first))
+        scale = float(
+            energy_scale(np.asarray(start), kinetic_energy(system.bodies, first.velocity).sum())
+        )
+        try:
+            run = open_run(scenario, task.method, dt, task.precision, DIVERGENCE * scale)
+            recording = run.advance(steps, 1)
+        except (UnsupportedScenario, EngineFailed) as error:
+            yield point, {"refused": str(error)}
+            continue
+        end = observe_all(system, recording.position, recording.velocity)
+        low = [float(min(a[0], b[0])) for a, b in zip(recording.low, end, strict=True)]
+        high = [float(max(a[0], b[0])) for a, b in zip(recording.high, end, strict=True)]
+        yield (
+            point,
+            _row(dt, steps, start, scale, (low, high), run.intact_steps, system.conservative),
+        )
+
+
+def _at(observables: Any, i: int) -> list[float]:
+    return [float(values[i]) for values in observables]
+
+
+def _row(
+    dt: float,
+    steps: int,
+    start: float,
+    scale: float,
+    extremes: tuple[list[float], list[float]],
+    intact_steps: int,
+    conservative: bool,
+) -> dict[str, Any]:
+    (energy_low, momentum_low), (energy_high, momentum_high) = extremes
+    return {
+        "dt": dt,
+        "steps": steps,
+        "energy_start": start,
+        "energy_scale": scale,
+        "energy_low": energy_low,
+        "energy_high": energy_high,
+        "energy_error_max": max(start - energy_low, energy_high - start) / scale
+        if conservative
+        else None,
+        "angular_momentum_low": momentum_low,
+        "angular_momentum_high": momentum_high,
+        "diverged_at": intact_steps * dt if intact_steps < steps else None,
+        "refused": None,
+    }
+
+
+# Where the work is done ---------------------------------------------------------------------------
+
+Listener = Callable[[str, int, int], None]
+
+
+def run_sweep(
+    plan: Plan,
+    results: Path,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    restart: bool = False,
+    listener: Listener = lambda what, done, total: None,
+) -> Path:
+    """Run what is left of a sweep and return the path of its table.
+
+    Args:
+        plan: from :func:`umbra_bench.sweep.plan.load_plan`.
+        results: the folder of results; on a cluster all workers must see it under this path.
+        workers: start a Dask cluster of so many processes on this machine.
+        scheduler: the address of a Dask scheduler to use instead.
+        restart: forget what an earlier run of this sweep left.
+        listener: told of every finished task.
+
+    Raises:
+        UmbraBenchError: a folder that holds another sweep or cannot be written, no such scheduler.
+    """
+    table = results.resolve() / "sweeps" / f"{plan.name}.parquet"
+    folder = table.with_suffix("")
+    _claim(plan, table, restart)
+    if table.is_file():
+        return table
+    parts = {task: folder / f"{task.number:09}.parquet" for task in plan.tasks}
+    left = [task for task, part in parts.items() if not part.is_file()]
+    done = len(parts) - len(left)
+    if done:
+        listener("found from before", done, len(parts))
+    where = _on_dask(workers, scheduler) if workers or scheduler else _here
+    for task in where(plan, left, folder):
+        done += 1
+        listener(f"{task.method} {task.precision}, run {task.last}", done, len(parts))
+    with replacing(table) as temporary:
+        pl.scan_parquet(list(parts.values()), glob=False).sink_parquet(temporary)
+    for part in parts.values():
+        part.unlink()
+    folder.rmdir()
+    return table
+
+
+def write_part(plan: Plan, task: Task, folder: Path) -> int:
+    """Run a task and write its part; return the number of rows."""
+    keep_compiled_code()
+    rows = run_task(plan, task)
+    with replacing(folder / f"{task.number:09}.parquet") as temporary:
+        rows.write_parquet(temporary)
+    return rows.height
+
+
+def _claim(plan: Plan, table: Path, restart: bool) -> None:
+    """Make sure that what lies in a sweep's place belongs to it."""
+    stamp, folder = table.with_suffix(".json"), table.with_suffix("")
+    if restart:
+        for old in (table, stamp, *folder.glob("*.parquet")):
+            old.unlink(missing_ok=True)
+    if not stamp.is_file():
+        save_json({"sweep": plan.name, "fingerprint": plan.fingerprint}, stamp)
+    elif load_json(stamp).get("fingerprint") != plan.fingerprint:
+        raise UmbraBenchError(
+            f"{stamp}: holds another sweep of the name {plan.name!r} than {plan.path} states now; "
+            "use --restart to run it anew, or another --results"
+        )
+
+
+Where = Callable[[Plan, list[Task], Path], Iterator[Task]]
+
+
+def _here(plan: Plan, tasks: list[Task], folder: Path) -> Iterator[Task]:
+    for task in tasks:
+        write_part(plan, task, folder)
+        yield task
+
+
+def _on_dask(workers: int | None, scheduler: str | None) -> Where:
+    """A Dask cluster: a task that raises or loses its worker is tried again by another."""
+
+    def where(plan: Plan, tasks: list[Task], folder: Path) -> Iterator[Task]:
+        distributed: Any = importlib.import_module("dask.distributed")
+        cluster = None
+        if scheduler is None:
+            cluster = distributed.LocalCluster(
+                n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=50
+            )
+        try:
+            client = distributed.Client(cluster or scheduler, timeout=20)
+        except (OSError, ValueError) as error:
+            raise UmbraBenchError(f"--scheduler {scheduler}: cannot be reached: {error}") from None
+        try:
+            shared = client.scatter(plan, broadcast=True)
+            futures = {
+                client.submit(write_part, shared, task, folder, pure=False, retries=2): task
+                for task in tasks
+            }
+            for future in distributed.as_completed(futures):
+                future.result()
+                yield futures[future]
+        finally:
+            client.close()
+            if cluster is not None:
+                cluster.close()
+
+    return where
