@@ -262,7 +262,7 @@ def momenta(method: str, scenario: Scenario, dt: float, steps: int) -> tuple[np.
     system, _ = in_numpy(scenario)
     seen = list(states(method, *in_numpy(scenario), dt, steps))
     linear = np.stack([linear_momentum(system.bodies, s.velocity) for s in seen])
-    angular = np.stack([angular_momentum(system.bodies, s.position, s.velocity) for s in seen])
+    angular = np.stack([angular_momentum(system.bodies, *s[:2]).sum() for s in seen])
     return linear, angular
 
 

@@ -39,7 +39,7 @@ def linear_momentum(bodies: Bodies, velocity: Array) -> Array:
 
 
 def angular_momentum(bodies: Bodies, position: Array, velocity: Array) -> Array:
-    """L = sum of m (x vy - y vx) + I omega about the origin, N m s."""
+    """L = m (x vy - y vx) + I omega of each body about the origin, N m s, shape (N,)."""
     mx, my, inertia = inertial_mass(bodies)
     vx, vy, omega = velocity
-    return (position[0] * my * vy - position[1] * mx * vx + inertia * omega).sum()
+    return position[0] * my * vy - position[1] * mx * vx + inertia * omega

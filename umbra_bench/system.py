@@ -54,24 +54,29 @@ class System(NamedTuple):
         """V, J, of the forces that have a potential."""
         if not self.laws:
             return position.__array_namespace__().zeros_like(position[0, 0])
-        return _total(law.potential(position) for law in self.laws)
+        return _sum(_alike(law.potential(position) for law in self.laws))
 
     def energy(self, position: Array, velocity: Array) -> Array:
         """E = T + V, J."""
+        return _sum(self.energies(position, velocity))
+
+    def energies(self, position: Array, velocity: Array) -> list[Array]:
+        """The energy in parts, J: first one of each body, shape (N,), then what belongs to no body."""
         potentials = (law.potential(position) for law in self.laws)
-        return _total([kinetic_energy(self.bodies, velocity), *potentials])
+        return _alike([kinetic_energy(self.bodies, velocity), *potentials])
 
 
-def _total(energies: Iterable[Array]) -> Array:
-    """The sum of all that some arrays hold; those of one shape are added first.
-
-    A reduction costs a compiled loop more than the arithmetic before it: one is better than two.
-    """
+def _alike(energies: Iterable[Array]) -> list[Array]:
+    """Arrays of one shape added: a reduction costs a compiled loop more than the sums before it."""
     of_shape: dict[tuple[int, ...], Array] = {}
     for energy in energies:
         seen = of_shape.get(energy.shape)
         of_shape[energy.shape] = energy if seen is None else seen + energy
-    return functools.reduce(operator.add, (energy.sum() for energy in of_shape.values()))
+    return list(of_shape.values())
+
+
+def _sum(energies: Iterable[Array]) -> Array:
+    return functools.reduce(operator.add, (energy.sum() for energy in energies))
 
 
 def build_system(scenario: Scenario, precision: str = "float64") -> System:
