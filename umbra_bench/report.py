@@ -16,7 +16,13 @@ from umbra_bench.errors import UmbraBenchError
 from umbra_bench.html_report import render_html
 from umbra_bench.parallel import map_in_processes
 from umbra_bench.plots import ScenarioTables
-from umbra_bench.results import described, load_json, load_table, replacing
+from umbra_bench.results import (
+    described,
+    load_environment,
+    load_scenarios,
+    load_table,
+    replacing,
+)
 from umbra_bench.study import Study
 from umbra_bench.wording import render
 
@@ -59,7 +65,7 @@ def write_report(
             claims=claims,
             engines=_engines(results),
             skips=load_table("skips", results).to_dicts(),
-            environment=load_json(results / "environment.json"),
+            environment=load_environment(results),
             changed=changed,
             curves=load_table("claims_curves", results) if claims else None,
         ),
@@ -78,7 +84,7 @@ def load_scenario_tables(results: Path) -> list[ScenarioTables]:
         load_table("references", results),
         load_table("motion", results),
         load_table("energy", results),
-        load_json(results / "scenarios.json"),
+        load_scenarios(results),
     )
 
 
@@ -159,7 +165,7 @@ def render_page(tables: list[ScenarioTables], results: Path, changed: Changed | 
         changed=changed,
         references=[t.reference for t in tables],
         skips=load_table("skips", results).to_dicts(),
-        environment=load_json(results / "environment.json"),
+        environment=load_environment(results),
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import polars as pl
 
 from umbra_bench.errors import UmbraBenchError
-from umbra_bench.results import RESULTS, load_json, save_json, save_table
+from umbra_bench.results import RESULTS, load_json, save_json, save_table, together
 
 FORMAT = "umbra-bench claims 1"
 
@@ -36,8 +36,9 @@ def save_claims(found: Found, folder: Path = RESULTS) -> None:
     Raises:
         UmbraBenchError: the folder cannot be written.
     """
-    save_table(found.curves, "claims_curves", folder)
-    save_json(found.document, folder / "claims.json")
+    with together(folder, "claims") as fresh:
+        save_table(found.curves, "claims_curves", fresh)
+        save_json(found.document, fresh / "claims.json")
 
 
 def load_claims(folder: Path = RESULTS) -> dict[str, Any]:
