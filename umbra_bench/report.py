@@ -10,8 +10,9 @@ from urllib.parse import quote
 import polars as pl
 
 from umbra_bench import findings, plots
-from umbra_bench.claims.record import load_claims
+from umbra_bench.claims.record import CURVES_SCHEMA, load_claims
 from umbra_bench.comparison import Difference, beside, differences
+from umbra_bench.engine_table import ENGINES_SCHEMA
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.html_report import render_html
 from umbra_bench.parallel import map_in_processes
@@ -67,7 +68,7 @@ def write_report(
             skips=load_table("skips", results).to_dicts(),
             environment=load_environment(results),
             changed=changed,
-            curves=load_table("claims_curves", results) if claims else None,
+            curves=load_table("claims_curves", results, CURVES_SCHEMA) if claims else None,
         ),
     }
     for name, text in pages.items():
@@ -173,7 +174,7 @@ def _engines(results: Path) -> list[dict[str, Any]]:
     """The engines side by side, where a study compared any."""
     if not (results / "engines.parquet").is_file():
         return []
-    return load_table("engines", results).to_dicts()
+    return load_table("engines", results, ENGINES_SCHEMA).to_dicts()
 
 
 def _claims(results: Path) -> dict[str, Any] | None:

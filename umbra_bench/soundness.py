@@ -70,7 +70,7 @@ def _rules(columns: Mapping[str, Any]) -> dict[str, tuple[pl.Expr, str]]:
         # Names of scenarios name files of figures.
         name_of_file = ~pl.col("scenario").str.contains(r"[/\\\x00]|^\.*$")
         rules["scenario"] = name_of_file, "a name that a file can have"
-    if "precision" in columns:
+    if {"scenario", "precision"} <= {*columns}:
         rules["precision"] = pl.col("precision").is_in(PRECISIONS), " or ".join(PRECISIONS)
     if "quantity" in columns:
         rules["quantity"] = pl.col("quantity").is_in(list(QUANTITIES)), ", ".join(QUANTITIES)
@@ -128,8 +128,8 @@ def _refuse_first(
 # Documents ----------------------------------------------------------------------------------------
 
 
-class Environment(BaseModel):
-    """What numbers depend on, as `environment.json` states it."""
+class Machine(BaseModel):
+    """What numbers depend on, whatever was measured."""
 
     model_config = ConfigDict(strict=True)
 
@@ -138,6 +138,11 @@ class Environment(BaseModel):
     processor: str
     cores: int | None
     packages: dict[str, str]
+
+
+class Environment(Machine):
+    """What the numbers of a study depend on, as `environment.json` states it."""
+
     scenarios: dict[str, Annotated[str, Field(pattern="^[0-9a-f]{64}$")]]
 
 
