@@ -108,7 +108,7 @@ def study(
     """Sweep methods over scenarios and step sizes; write the tables into results/."""
     _prepare()
     from umbra_bench.engine_table import examine_engines
-    from umbra_bench.results import save_study, save_table, together
+    from umbra_bench.results import save_study, save_table
     from umbra_bench.scenario import list_scenarios, load_scenario
     from umbra_bench.study import methods_of_study, run_study
 
@@ -125,8 +125,7 @@ def study(
     save_study(found, results)
     with _progress("Engines") as listener:
         engines = examine_engines(methods_of_study(methods), processes=None, listener=listener)
-    with together(results, "engines") as fresh:
-        save_table(engines, "engines", fresh)
+    save_table(engines, "engines", results)
     click.echo(f"{found.runs.height} runs in {results}/study.csv, orders in {results}/orders.csv")
 
 

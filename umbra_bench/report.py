@@ -115,6 +115,11 @@ def _bundles(
                 f"scenarios.json: does not describe scenario {name!r} of the tables beside it; "
                 "run `umbra-bench study` again"
             )
+        if motion.filter(pl.col("scenario") == name).is_empty():
+            raise UmbraBenchError(
+                f"motion.parquet: holds no motion on scenario {name!r} of the tables beside it; "
+                "run `umbra-bench study` again"
+            )
     return [
         ScenarioTables(
             scenario=scenarios[reference["scenario"]],

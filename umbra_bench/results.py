@@ -137,22 +137,38 @@ def _seal(folder: Path, name: str) -> None:
     seal.write_text("".join(lines), encoding="utf-8")
 
 
-def read_sealed(path: Path) -> bytes:
+def read_sealed(path: Path, *, required: bool = False) -> bytes:
     """The content of a file of results; if it was written with others, exactly what was written.
+
+    `required`: whether a file without a seal is refused, since the one who reads it can bear no damage.
 
     Raises:
         UmbraBenchError: it is missing, cannot be read or is not what was written.
     """
     content = _read(path)
-    for seal in sorted({p.name for p in _places(path.parent, "*.sha256")}):
-        for line in _read(path.parent / seal).decode("utf-8", "replace").splitlines():
-            stated, _, name = line.partition("  ")
-            if name == path.name and stated != hashlib.sha256(content).hexdigest():
-                raise UmbraBenchError(
-                    f"{path}: is not what was written (see {seal}): damaged, or of another run; "
-                    "run the command that makes it again"
-                )
+    digest, stated = hashlib.sha256(content).hexdigest(), _stated_digests(path)
+    if stated and digest not in stated:
+        raise UmbraBenchError(
+            f"{path}: is not what was written (see *.sha256 beside it): damaged, or of another run; "
+            "run the command that makes it again"
+        )
+    if required and not stated:
+        raise UmbraBenchError(
+            f"{path}: has no seal (a line in a *.sha256 beside it), so damage could not be told; "
+            "run the command that makes it again"
+        )
     return content
+
+
+def _stated_digests(path: Path) -> set[str]:
+    """What the seals beside a file state of it."""
+    seals = {place.name for place in _places(path.parent, "*.sha256")}
+    lines = [
+        line.partition("  ")
+        for seal in seals
+        for line in _read(path.parent / seal).decode("utf-8", "replace").splitlines()
+    ]
+    return {digest for digest, _, name in lines if name == path.name}
 
 
 def _places(folder: Path, pattern: str) -> list[Path]:
@@ -188,7 +204,7 @@ def save_study(study: Study, folder: Path = RESULTS) -> None:
     )
     with together(folder, "study") as fresh:
         for name, table in tables.items():
-            save_table(table, name, fresh)
+            write_table(table, name, fresh)
         for name, table in zip(SERIES, (study.motion, study.energy), strict=True):
             _write(fresh / f"{name}.parquet", table.write_parquet)
         save_json(described(study.scenarios), fresh / "scenarios.json")
@@ -196,11 +212,17 @@ def save_study(study: Study, folder: Path = RESULTS) -> None:
 
 
 def save_table(table: pl.DataFrame, name: str, folder: Path = RESULTS) -> None:
-    """Write a table as CSV and as Parquet.
+    """Write a table as CSV and as Parquet, sealed.
 
     Raises:
-        UmbraBenchError: as :func:`replacing`.
+        UmbraBenchError: as :func:`together`.
     """
+    with together(folder, name) as fresh:
+        write_table(table, name, fresh)
+
+
+def write_table(table: pl.DataFrame, name: str, folder: Path) -> None:
+    """Write a table as CSV and as Parquet into a folder of :func:`together`, which seals it."""
     _write(folder / f"{name}.csv", table.write_csv)
     _write(folder / f"{name}.parquet", table.write_parquet)
 
@@ -225,7 +247,7 @@ def load_table(
         UmbraBenchError: the table is missing, cannot be read or is not what its name says.
     """
     path = folder / f"{name}.parquet"
-    content = read_sealed(path)
+    content = read_sealed(path, required=True)  # a damaged one can end the interpreter
     try:
         table = pl.read_parquet(io.BytesIO(content))
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:

@@ -293,8 +293,10 @@ def load_scenario(name_or_path: str | Path, folder: Path | None = None) -> Scena
         raise ScenarioError(one_line(f"{path}: {error}")) from None
 
 
-_PART = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')"""
-_LONG_KEY = re.compile(rf"{_PART}(?:[ \t]*\.[ \t]*{_PART}){{{MAXIMUM_KEY_PARTS},}}+")
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_DOT = r"[ \t]*+\.[ \t]*+"
+# Begins where a word begins and never goes back, so that no text takes more than a few passes.
+_LONG_KEY = re.compile(rf"(?<![\w.-]){_PART}(?:{_DOT}{_PART}){{{MAXIMUM_KEY_PARTS}}}")
 
 
 def _toml(content: bytes) -> dict[str, Any]:
@@ -429,7 +431,8 @@ def _locate(loc: Sequence[int | str]) -> tuple[str, str, type[BaseModel]]:
         elif part in tags:
             table, tags = tags[part], {}
         else:
-            key += f".{part}" if key else part
+            shown = part if re.fullmatch(r"[\w-]{1,80}", part) else short(part, 80)
+            key += f".{shown}" if key else shown
             field = table.model_fields.get(part)
             if field is not None and field.description:
                 allowed = field.description

@@ -10,7 +10,7 @@ import polars as pl
 from pydantic import BaseModel, ConfigDict
 
 from umbra_bench.errors import UmbraBenchError
-from umbra_bench.results import RESULTS, load_json, save_json, save_table, together
+from umbra_bench.results import RESULTS, load_json, save_json, together, write_table
 from umbra_bench.soundness import Machine, check_document
 
 FORMAT = "umbra-bench claims 1"
@@ -74,7 +74,7 @@ def save_claims(found: Found, folder: Path = RESULTS) -> None:
         UmbraBenchError: the folder cannot be written.
     """
     with together(folder, "claims") as fresh:
-        save_table(found.curves, "claims_curves", fresh)
+        write_table(found.curves, "claims_curves", fresh)
         save_json(found.document, fresh / "claims.json")
 
 
