@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import re
+import shutil
 import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterable, Iterator
@@ -683,12 +684,13 @@ def test_a_study_of_which_nothing_could_run_has_a_page(tmp_path: Path) -> None:
     draw_all(study)
 
 
-def test_results_of_two_studies_are_not_mixed_without_a_word(
+def test_results_of_two_studies_are_not_mixed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A study that died between two of its files leaves tables of other scenarios than described."""
-    results = tmp_path / "results"
+    """A study that dies between two of its files leaves the one before; a file of another is told."""
+    results, other = tmp_path / "results", tmp_path / "other"
     save_study(renamed("first"), results)
+    save_study(renamed("second"), other)
 
     def dies(*_: object) -> None:
         raise KeyboardInterrupt
@@ -697,9 +699,12 @@ def test_results_of_two_studies_are_not_mixed_without_a_word(
         dying.setattr("umbra_bench.results.save_json", dies)
         with pytest.raises(KeyboardInterrupt):
             save_study(renamed("second"), results)
+    (tables,) = load_scenario_tables(results)
+    assert tables.scenario["name"] == "first"
+    shutil.copy(other / "study.parquet", results)
     with pytest.raises(UmbraBenchError) as caught:
         write_report(results, tmp_path / "reports")
-    assert "scenarios.json" in str(caught.value)
+    assert str(caught.value).startswith(f"{results}/study.parquet: is not what was written")
     assert len(str(caught.value).splitlines()) == 1
 
 

@@ -127,6 +127,7 @@ def test_every_table_is_on_disk(folder: Path) -> None:
     assert {path.name for path in folder.iterdir()} == {
         *(f"{name}.{ending}" for name in results.TABLES for ending in ("csv", "parquet")),
         *("motion.parquet", "energy.parquet", "scenarios.json", "environment.json"),
+        "study.sha256",
     }
 
 
@@ -475,7 +476,7 @@ def test_results_that_cannot_be_written(tmp_path: Path) -> None:
         save_study(tiny_study(), tmp_path / "file" / "results")
     message = str(caught.value)
     assert message.splitlines() == [message]
-    assert message.startswith(f"{tmp_path}/file/results/study.csv: cannot be written: ")
+    assert message.startswith(f"{tmp_path}/file/results: cannot be written: ")
     assert (tmp_path / "file").read_text(encoding="utf-8") == "in the way"
 
 

@@ -22,12 +22,27 @@ class EngineFailed(UmbraBenchError):
     """An engine in another process that died, was silent or answered nonsense: a result, too."""
 
 
+MOST_WORDS = 40
+"""Of how many known words a message tells at most."""
+
+LONGEST_WORD = 100
+"""Longer words are nobody's slip of the pen, and comparing them takes the square of their length."""
+
+
 def hint(word: object, known: Iterable[str], label: str = "allowed") -> str:
     """Return the end of a message: the known word nearest to `word`, if any, and all of them."""
-    words = list(known)
-    close = difflib.get_close_matches(str(word), words, n=1, cutoff=0.6)
+    words = [text for text in known if len(text) <= LONGEST_WORD]
+    close = difflib.get_close_matches(str(word)[:LONGEST_WORD], words, n=1, cutoff=0.6)
     suggestion = f"; did you mean {close[0]!r}? {label.capitalize()}" if close else f"; {label}"
-    return f"{suggestion}: {', '.join(words)}"
+    more = f" and {len(words) - MOST_WORDS} more" if len(words) > MOST_WORDS else ""
+    return f"{suggestion}: {', '.join(words[:MOST_WORDS])}{more}"
+
+
+def one_line(text: str, length: int = 1000) -> str:
+    """Return `text` as one printable line of at most `length` characters, whatever was in it."""
+    text = " ".join(text[: 4 * length].split())
+    text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text[:length])
+    return text if len(text) < length else text[: length - 3] + "..."
 
 
 def short(value: object, length: int = 60) -> str:

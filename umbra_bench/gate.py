@@ -25,6 +25,8 @@ What each scenario of the plan is sensitive to:
 from __future__ import annotations
 
 import math
+import re
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,13 +34,13 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from umbra_bench.errors import UmbraBenchError, UnsupportedScenario
+from umbra_bench.errors import UmbraBenchError, UnsupportedScenario, hint, one_line, short
 from umbra_bench.methods import METHODS, PRECISIONS, find_method
 from umbra_bench.parallel import map_in_processes
 from umbra_bench.reference import Reference, certified_reference
 from umbra_bench.results import RESULTS, load_json, save_json
 from umbra_bench.scenario import Scenario, list_scenarios, load_scenario, scenario_hash
-from umbra_bench.study import measure, run_on_grid
+from umbra_bench.study import QUANTITIES, measure, run_on_grid
 
 BASELINE = RESULTS / "baseline.json"
 FORMAT = "umbra-bench baseline 1"
@@ -488,6 +490,8 @@ def exit_code(judgements: Iterable[Judgement]) -> int:
 
 # The baseline -------------------------------------------------------------------------------------
 
+_TABLES = ("format", "scenarios", "truths", "cells", "orders")
+
 
 def load_baseline(path: Path) -> dict[str, Any]:
     """Read a baseline and check that it is one.
@@ -502,21 +506,41 @@ def load_baseline(path: Path) -> dict[str, Any]:
     baseline = load_json(path)
     if not isinstance(baseline, dict) or baseline.get("format") != FORMAT:
         raise UmbraBenchError(f"{path}: not a baseline of this gate; expected format = {FORMAT!r}")
-    for key in ("scenarios", "truths", "cells", "orders"):
+    for key in _TABLES[1:]:
         if not isinstance(baseline.get(key), dict):
             raise UmbraBenchError(f"{path}: {key}: missing; expected a table")
-    for key in ("truths", "cells", "orders"):
-        for name, numbers in baseline[key].items():
-            if not isinstance(numbers, dict):
-                raise UmbraBenchError(f"{path}: {key}[{name!r}]: expected a table of numbers")
-            for metric, value in numbers.items():
-                absent = value is None and key == "cells"
-                number = isinstance(value, (int, float)) and not isinstance(value, bool)
-                if not absent and not (number and math.isfinite(value)):
-                    raise UmbraBenchError(
-                        f"{path}: {key}[{name!r}].{metric} = {value!r}: expected a finite number"
-                    )
+    unknown = next((key for key in baseline if key not in _TABLES), None)
+    if unknown is not None:
+        raise UmbraBenchError(
+            one_line(f"{path}: {short(unknown)}: unknown key{hint(unknown, _TABLES)}")
+        )
+    for key in _TABLES[1:]:
+        for name, entry in baseline[key].items():
+            for metric, complaint in _complaints(key, entry):
+                raise UmbraBenchError(one_line(f"{path}: {key}[{name!r}]{metric}{complaint}"))
     return baseline
+
+
+def _complaints(table: str, entry: Any) -> Iterator[tuple[str, str]]:
+    """What is wrong with an entry of one of the baseline's tables: where in it, and what."""
+    if table == "scenarios":
+        if not (isinstance(entry, str) and re.fullmatch("[0-9a-f]{64}", entry)):
+            yield "", f" = {short(entry)}: expected a SHA-256, 64 hexadecimal digits"
+        return
+    if not isinstance(entry, dict):
+        yield "", ": expected a table of numbers"
+        return
+    for metric, value in entry.items():
+        absent = value is None and table == "cells"
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not absent and not (number and abs(value) <= sys.float_info.max):
+            yield f".{metric}", f" = {short(value)}: expected a finite number"
+        if table == "cells" and not absent and value < 0.0:
+            yield f".{metric}", f" = {short(value)}: expected a number >= 0"
+    known = {"cells": (*METRICS, "diverged_at"), "orders": tuple(QUANTITIES)}.get(table)
+    for metric in entry:
+        if known is not None and metric not in known:
+            yield f".{metric}", f": unknown key{hint(metric, known)}"
 
 
 def as_baseline(measurement: Measurement) -> dict[str, Any]:

@@ -10,13 +10,20 @@ from urllib.parse import quote
 import polars as pl
 
 from umbra_bench import findings, plots
-from umbra_bench.claims.record import load_claims
+from umbra_bench.claims.record import CURVES_SCHEMA, load_claims
 from umbra_bench.comparison import Difference, beside, differences
+from umbra_bench.engine_table import ENGINES_SCHEMA
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.html_report import render_html
 from umbra_bench.parallel import map_in_processes
 from umbra_bench.plots import ScenarioTables
-from umbra_bench.results import described, load_json, load_table, replacing
+from umbra_bench.results import (
+    described,
+    load_environment,
+    load_scenarios,
+    load_table,
+    replacing,
+)
 from umbra_bench.study import Study
 from umbra_bench.wording import render
 
@@ -59,9 +66,9 @@ def write_report(
             claims=claims,
             engines=_engines(results),
             skips=load_table("skips", results).to_dicts(),
-            environment=load_json(results / "environment.json"),
+            environment=load_environment(results),
             changed=changed,
-            curves=load_table("claims_curves", results) if claims else None,
+            curves=load_table("claims_curves", results, CURVES_SCHEMA) if claims else None,
         ),
     }
     for name, text in pages.items():
@@ -78,7 +85,7 @@ def load_scenario_tables(results: Path) -> list[ScenarioTables]:
         load_table("references", results),
         load_table("motion", results),
         load_table("energy", results),
-        load_json(results / "scenarios.json"),
+        load_scenarios(results),
     )
 
 
@@ -106,6 +113,11 @@ def _bundles(
         if name not in scenarios:
             raise UmbraBenchError(
                 f"scenarios.json: does not describe scenario {name!r} of the tables beside it; "
+                "run `umbra-bench study` again"
+            )
+        if motion.filter(pl.col("scenario") == name).is_empty():
+            raise UmbraBenchError(
+                f"motion.parquet: holds no motion on scenario {name!r} of the tables beside it; "
                 "run `umbra-bench study` again"
             )
     return [
@@ -159,7 +171,7 @@ def render_page(tables: list[ScenarioTables], results: Path, changed: Changed | 
         changed=changed,
         references=[t.reference for t in tables],
         skips=load_table("skips", results).to_dicts(),
-        environment=load_json(results / "environment.json"),
+        environment=load_environment(results),
     )
 
 
@@ -167,7 +179,7 @@ def _engines(results: Path) -> list[dict[str, Any]]:
     """The engines side by side, where a study compared any."""
     if not (results / "engines.parquet").is_file():
         return []
-    return load_table("engines", results).to_dicts()
+    return load_table("engines", results, ENGINES_SCHEMA).to_dicts()
 
 
 def _claims(results: Path) -> dict[str, Any] | None:

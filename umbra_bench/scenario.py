@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -16,7 +17,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, ValidationError
 
-from umbra_bench.errors import ScenarioError, hint, short
+from umbra_bench.errors import ScenarioError, hint, one_line, short
 from umbra_bench.methods import METHODS
 
 DEFAULT_STEP = 0.01
@@ -30,6 +31,18 @@ MAXIMUM_STEPS = 10**9
 
 MAXIMUM_COARSE_STEPS = 10**6
 """The most steps at the coarsest step, which are all kept as samples."""
+
+MAXIMUM_BYTES = 4 * 2**20
+"""The largest scenario file: some 50,000 bodies, read in seconds."""
+
+MAXIMUM_KEY_PARTS = 64
+"""The most parts of a dotted key: the format has four, and a parser needs their square of memory."""
+
+MAXIMUM_STATES = 10**7
+"""The most states (samples times bodies) that one run keeps: half a gigabyte."""
+
+MAXIMUM_ATTRACTING = 1000
+"""The most bodies under one mutual gravity: every two of them are a pair."""
 
 LARGEST = 1e60
 """The largest size of a number in a scenario: products of five of them are still finite."""
@@ -142,8 +155,8 @@ class MutualGravity(_Table):
     """Newton's attraction between every two of the bodies."""
 
     kind: Literal["mutual_gravity"]
-    bodies: Annotated[tuple[Text, ...], Field(min_length=2)] = Field(
-        description="the names of two or more bodies"
+    bodies: Annotated[tuple[Text, ...], Field(min_length=2, max_length=MAXIMUM_ATTRACTING)] = Field(
+        description=f"the names of two or more bodies, {MAXIMUM_ATTRACTING} at most"
     )
     gravitational_constant: Positive = Field(description=_POSITIVE + ", in m^3/(kg s^2)")
 
@@ -270,14 +283,47 @@ def load_scenario(name_or_path: str | Path, folder: Path | None = None) -> Scena
     """
     path = find_scenario(name_or_path, folder)
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as file:
+            content = file.read(MAXIMUM_BYTES + 1)
     except OSError as error:
         raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ScenarioError(f"{path}: is not a text file in UTF-8, as TOML must be") from None
-    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        raise ScenarioError(f"{path}: is not valid TOML: {error}") from None
-    return parse_scenario(document, path)
+    try:
+        return parse_scenario(_toml(content), path)
+    except ValueError as error:
+        raise ScenarioError(one_line(f"{path}: {error}")) from None
+
+
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_DOT = r"[ \t]*+\.[ \t]*+"
+# Begins where a word begins and never goes back, so that no text takes more than a few passes.
+_LONG_KEY = re.compile(rf"(?<![\w.-]){_PART}(?:{_DOT}{_PART}){{{MAXIMUM_KEY_PARTS}}}")
+
+
+def _toml(content: bytes) -> dict[str, Any]:
+    """Read TOML of a size and a depth that a parser can bear.
+
+    Raises:
+        ValueError: it is too large, not in UTF-8 or not TOML, with the line where there is one.
+    """
+    if len(content) > MAXIMUM_BYTES:
+        raise ValueError(f"is larger than {MAXIMUM_BYTES} bytes, the most that is allowed")
+    try:
+        text = content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        raise ValueError(f"is not text in UTF-8, as TOML must be (at line {line})") from None
+    long = _LONG_KEY.search(text)
+    if long is not None:
+        line = text.count("\n", 0, long.start()) + 1
+        raise ValueError(
+            f"is not allowed: more than {MAXIMUM_KEY_PARTS} parts joined by dots (at line {line})"
+        )
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("is not valid TOML: tables or arrays are nested too deeply") from None
+    except ValueError as error:
+        raise ValueError(f"is not valid TOML: {error}") from None
 
 
 def parse_scenario(document: dict[str, Any], path: Path) -> Scenario:
@@ -292,7 +338,7 @@ def parse_scenario(document: dict[str, Any], path: Path) -> Scenario:
     except ValidationError as error:
         complaint = _explain(error)
     if complaint is not None:
-        raise ScenarioError(" ".join(f"{path}: {complaint}".split()))
+        raise ScenarioError(one_line(f"{path}: {complaint}"))
     return scenario
 
 
@@ -385,7 +431,8 @@ def _locate(loc: Sequence[int | str]) -> tuple[str, str, type[BaseModel]]:
         elif part in tags:
             table, tags = tags[part], {}
         else:
-            key += f".{part}" if key else part
+            shown = part if re.fullmatch(r"[\w-]{1,80}", part) else short(part, 80)
+            key += f".{shown}" if key else shown
             field = table.model_fields.get(part)
             if field is not None and field.description:
                 allowed = field.description
@@ -399,8 +446,9 @@ def _complaints(scenario: Scenario, stem: str) -> Iterator[str]:
     if scenario.name != stem:
         yield f"name = {scenario.name!r}: must equal the file's stem, {stem!r}"
     yield from _body_complaints(scenario)
+    bodies = {body.name: body for body in scenario.bodies}
     for i, force in enumerate(scenario.forces):
-        yield from _force_complaints(scenario, force, f"forces[{i}]")
+        yield from _force_complaints(bodies, force, f"forces[{i}]")
     yield from _step_complaints(scenario)
     for method in scenario.budget:
         if method not in METHODS and not method.startswith("native:"):
@@ -434,6 +482,11 @@ def _step_complaints(scenario: Scenario) -> Iterator[str]:
             f"duration = {duration!r}: not a whole number of steps of dt.start = {start!r} s "
             f"({ratio:.6g}); every step of the sweep must divide it"
         )
+    if scenario.samples * len(scenario.bodies) > MAXIMUM_STATES:
+        yield (
+            f"bodies: {len(scenario.bodies)} of them at {scenario.samples} samples are too many states "
+            f"to keep; at most {MAXIMUM_STATES} are allowed"
+        )
     if round(ratio) * 2**scenario.dt.halvings > MAXIMUM_STEPS:
         yield (
             f"dt.halvings = {scenario.dt.halvings}: the shortest step would need "
@@ -461,8 +514,7 @@ def _body_complaints(scenario: Scenario) -> Iterator[str]:
             )
 
 
-def _force_complaints(scenario: Scenario, force: ForceTable, key: str) -> Iterator[str]:
-    bodies = {body.name: body for body in scenario.bodies}
+def _force_complaints(bodies: dict[str, Body], force: ForceTable, key: str) -> Iterator[str]:
     named = force.bodies if isinstance(force, MutualGravity) else (force.body,)
     for name in named:
         if name not in bodies:
@@ -487,9 +539,9 @@ def _force_complaints(scenario: Scenario, force: ForceTable, key: str) -> Iterat
             if len(set(named)) < len(named):
                 yield f"{key}.bodies = {list(named)}: names a body twice"
             for name in named:
-                place = [body.name for body in scenario.bodies].index(name)
                 first = places.setdefault(bodies[name].position, name)
                 if first != name:
+                    place = list(bodies).index(name)
                     yield (
                         f"bodies[{place}].position = {list(bodies[name].position)}: bodies {first!r} and "
                         f"{name!r} stand in one place under mutual_gravity; expected two places"

@@ -94,6 +94,16 @@ REFERENCES_SCHEMA: dict[str, Any] = {
 
 SKIPS_SCHEMA: dict[str, Any] = {"scenario": pl.String, "method": pl.String, "reason": pl.String}
 
+MOTION_SCHEMA: dict[str, Any] = {
+    "scenario": pl.String,
+    "method": pl.String,
+    "precision": pl.String,
+    "dt": pl.Float64,
+    "t": pl.Float64,
+    "body": pl.String,
+    **dict.fromkeys(("x", "y", "angle", "vx", "vy", "omega"), pl.Float64),
+}
+
 ENERGY_SCHEMA: dict[str, Any] = {
     "scenario": pl.String,
     "method": pl.String,

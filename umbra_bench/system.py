@@ -80,11 +80,23 @@ def _sum(energies: Iterable[Array]) -> Array:
 
 
 def build_system(scenario: Scenario, precision: str = "float64") -> System:
-    """The bodies and force laws of a scenario, as NumPy arrays of `precision`."""
+    """The bodies and force laws of a scenario, as NumPy arrays of `precision`.
+
+    Raises:
+        UnsupportedScenario: a number of a body or of a force overflows.
+    """
     definitions = [body_definition(body, scenario) for body in scenario.bodies]
     _require_held(scenario, definitions, precision)
     bodies = Bodies.of(definitions, np.dtype(precision).type)
-    return System(bodies, build_laws(scenario, bodies))
+    with np.errstate(over="ignore"):
+        laws = build_laws(scenario, bodies)
+    for law in laws:
+        if not all(np.isfinite(parameter).all() for parameter in jax.tree.leaves(law)):
+            raise UnsupportedScenario(
+                f"scenario {scenario.name}: a {type(law).__name__} has a number that {precision} does "
+                "not hold"
+            )
+    return System(bodies, laws)
 
 
 def _require_held(

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from umbra_bench import plots
 from umbra_bench.claims.figures import FIGURES
-from umbra_bench.claims.record import load_claims
+from umbra_bench.claims.record import CURVES_SCHEMA, load_claims
 from umbra_bench.claims.statement import STATEMENTS, VERDICTS
 from umbra_bench.results import load_table, replacing
 from umbra_bench.umbra import repaired
@@ -32,7 +32,7 @@ def write_page(results: Path, output: Path) -> Path:
         UmbraBenchError: results that are missing, or a folder that cannot be written.
     """
     document = load_claims(results)
-    curves = load_table("claims_curves", results)
+    curves = load_table("claims_curves", results, CURVES_SCHEMA)
     for name, draw in FIGURES.items():
         figure = draw(curves)
         for ending in ("svg", "png"):
