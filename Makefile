@@ -8,7 +8,7 @@ READY := $(VENV)/.ready
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup engines browser report study gate claims showcase test check bench clean
+.PHONY: help setup engines browser report study gate claims showcase test check trust bench clean
 
 help:  ## list the targets
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z]+:.*## / {printf "  %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -56,6 +56,11 @@ check: $(READY)  ## formatting, lint and types
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+trust: $(READY)  ## odd files, kills and repeated runs, in ten minutes or less
+	$(BIN)/python trust/search.py
+	$(BIN)/python trust/kills.py
+	$(BIN)/python trust/repeat.py
 
 bench: $(READY)  ## measure speed, as ratios within one run
 	$(BIN)/python benchmarks/step_cost.py

@@ -190,6 +190,25 @@ def sweep(
 
 
 @cli.command()
+@click.argument("cell")
+@click.option("--results", type=_FOLDER, default="results", show_default=True)
+@click.option(
+    "--baseline",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Default: baseline.json beside the results.",
+)
+def explain(cell: str, results: Path, baseline: Path | None) -> None:
+    """Tell how a number of the results came about, and the command that makes it again.
+
+    CELL is SCENARIO/METHOD/PRECISION/DT/METRIC or SCENARIO/METHOD/PRECISION/QUANTITY/order.
+    """
+    from umbra_bench import explain as history
+
+    for line in history.explain(cell, results, baseline):
+        click.echo(line)
+
+
+@cli.command()
 @click.argument("method")
 @click.argument("scenarios", nargs=-1, metavar="[SCENARIO ...]")
 def identify(method: str, scenarios: tuple[str, ...]) -> None:

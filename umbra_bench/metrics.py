@@ -97,20 +97,24 @@ class ErrorPoint:
 
 
 def observed_order(points: Sequence[ErrorPoint]) -> Order:
-    """Fit the order over the finest steps whose successive slopes agree.
+    """Fit the order over the :func:`asymptotic_range` of the points."""
+    fitted = asymptotic_range(points)
+    if not fitted:
+        return Order(math.nan, math.nan, len(_ordered(points)))
+    return _fit(np.log([p.dt for p in fitted]), np.log([p.error for p in fitted]))
+
+
+def asymptotic_range(points: Sequence[ErrorPoint]) -> list[ErrorPoint]:
+    """The finest steps whose successive slopes agree, longest first; empty where there are none.
 
     From the longest step to the one with the least error (shorter ones only show rounding), the range
     is the one that ends at the shortest possible step, reaches as far towards long steps as slopes
     agree within :data:`SLOPE_SPREAD`, and has at least :data:`LEAST_POINTS` steps and slopes of at
     least :data:`LEAST_ORDER`.
     """
-    usable = sorted(
-        (p for p in points if p.usable and math.isfinite(p.error) and p.error > 0.0),
-        key=lambda p: -p.dt,
-    )
-    none = Order(math.nan, math.nan, len(usable))
+    usable = _ordered(points)
     if len(usable) < LEAST_POINTS:
-        return none
+        return []
     log_dt = np.log([p.dt for p in usable])
     log_error = np.log([p.error for p in usable])
     last = int(np.argmin(log_error))
@@ -120,8 +124,16 @@ def observed_order(points: Sequence[ErrorPoint]) -> Order:
         while begin > 0 and np.ptp(slopes[begin - 1 : end]) <= SLOPE_SPREAD:
             begin -= 1
         if end - begin >= LEAST_POINTS - 1 and slopes[begin:end].min() >= LEAST_ORDER:
-            return _fit(log_dt[begin : end + 1], log_error[begin : end + 1])
-    return none
+            return usable[begin : end + 1]
+    return []
+
+
+def _ordered(points: Sequence[ErrorPoint]) -> list[ErrorPoint]:
+    """The points from which an order can be read, longest step first."""
+    return sorted(
+        (p for p in points if p.usable and math.isfinite(p.error) and p.error > 0.0),
+        key=lambda p: -p.dt,
+    )
 
 
 def _fit(log_dt: np.ndarray, log_error: np.ndarray) -> Order:

@@ -64,8 +64,9 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
-    except OSError as error:
-        raise UmbraBenchError(f"{path}: cannot be written: {error.strerror}") from None
+    except (OSError, pl.exceptions.PolarsError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise UmbraBenchError(one_line(f"{path}: cannot be written: {reason}")) from None
 
 
 @contextlib.contextmanager
