@@ -45,7 +45,7 @@ PYTHON
 for python in "${@:-python3.11 python3.12 python3.13}"; do
     for each in $python; do
         command -v "$each" >/dev/null && "$each" --version >/dev/null 2>&1 || { echo "$each: not here"; continue; }
-        try "pinned-$each" "$each" "$PWD/constraints.txt"
+        try "pinned-$(basename "$each")" "$each" "$PWD/constraints.txt"
     done
 done
 lowest=$(command -v python3.11 || command -v python3)
