@@ -34,7 +34,7 @@ ROOT = Path(__file__).resolve().parent.parent
 MEMORY = 12 * 2**30
 """The most addresses that a child may reserve, bytes; libraries take some gigabytes unasked."""
 SECONDS_A_FILE = 10.0
-SECONDS_OF_SILENCE = 60.0
+SECONDS_OF_SILENCE = 120.0
 LARGEST_SEED = 50_000
 """Bytes; larger files are tried once and not built upon."""
 READERS = (
@@ -165,7 +165,7 @@ def _search(kind: Any, path: Path, count: int, seed: str, keep: Path) -> tuple[C
         tally[verdict if verdict in ("failed", "accepted") else "refused"] += 1
         if coverage.is_new(words) and len(content[0]) < LARGEST_SEED:
             corpus.append(content[0])
-        if number % 20 == 0:
+        if number % 5 == 0:
             print("alive", flush=True)
     return tally, len(coverage.known)
 
@@ -253,7 +253,7 @@ def watched(command: list[str], folder: Path, keep: Path) -> tuple[list[int], li
             f"*{Path(name).suffix or '.*'}"
         ):  # the file at hand is among them
             shutil.copy(path, keep / f"killed-{path.name}")
-        if name == [*SHARES][-1] or command[-2]:
+        if name == [*SHARES][-1] or command[-1]:
             return total, failures
         after = name
 
