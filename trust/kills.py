@@ -166,7 +166,9 @@ def kill_command(count: int, folder: Path, chance: random.Random) -> int:
     subprocess.run([*words, METHODS[0]], check=True, capture_output=True, cwd=ROOT)
     whole = time.monotonic() - began
     for _ in range(count):
-        with subprocess.Popen([*words, METHODS[1]], stderr=subprocess.DEVNULL, cwd=ROOT) as process:
+        with subprocess.Popen(
+            [*words, METHODS[1]], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=ROOT
+        ) as process:
             time.sleep(whole * (0.3 + 0.7 * chance.random()))
             process.kill()
         read("study", target)

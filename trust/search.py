@@ -33,8 +33,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 MEMORY = 12 * 2**30
 """The most addresses that a child may reserve, bytes; libraries take some gigabytes unasked."""
-SECONDS_A_FILE = 10.0
-SECONDS_OF_SILENCE = 60.0
+SECONDS_A_FILE = 30.0
+SECONDS_OF_SILENCE = 120.0
 LARGEST_SEED = 50_000
 """Bytes; larger files are tried once and not built upon."""
 READERS = (
@@ -110,7 +110,7 @@ def work(files: int, seed: int, folder: Path, keep: Path, only: str, after: str)
 
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, hard))
-    signal.signal(signal.SIGALRM, _alarm)
+    signal.signal(signal.SIGPROF, _alarm)
     study = folder / "study"
     makers = {
         "scenarios": inputs.scenarios,
@@ -144,7 +144,7 @@ def _search(kind: Any, path: Path, count: int, seed: str, keep: Path) -> tuple[C
             kind.mutate(chance, parent, chance.choice(corpus))
         ]
         path.write_bytes(content[0])
-        signal.setitimer(signal.ITIMER_REAL, SECONDS_A_FILE)
+        signal.setitimer(signal.ITIMER_PROF, SECONDS_A_FILE)
         try:
             with coverage.watching():
                 words = inputs.examined(kind, path, chance)
@@ -160,12 +160,12 @@ def _search(kind: Any, path: Path, count: int, seed: str, keep: Path) -> tuple[C
             )
             print("failure", kind.name, number, words.replace("\n", " "), flush=True)
         finally:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
         verdict = "failed" if words.startswith("FAILED") else words.partition(" ")[0]
         tally[verdict if verdict in ("failed", "accepted") else "refused"] += 1
         if coverage.is_new(words) and len(content[0]) < LARGEST_SEED:
             corpus.append(content[0])
-        if number % 20 == 0:
+        if number % 5 == 0:
             print("alive", flush=True)
     return tally, len(coverage.known)
 
@@ -253,7 +253,7 @@ def watched(command: list[str], folder: Path, keep: Path) -> tuple[list[int], li
             f"*{Path(name).suffix or '.*'}"
         ):  # the file at hand is among them
             shutil.copy(path, keep / f"killed-{path.name}")
-        if name == [*SHARES][-1] or command[-2]:
+        if name == [*SHARES][-1] or command[-1]:
             return total, failures
         after = name
 
