@@ -415,7 +415,7 @@ def test_results_that_cannot_be_read(tmp_path: Path, content: bytes) -> None:
         load_table("study", tmp_path)
     message = str(caught.value)
     assert message.splitlines() == [message]
-    assert message.startswith(f"{tmp_path}/study.parquet: cannot be read")
+    assert message.startswith(f"{tmp_path}/study.parquet: has no seal")
 
 
 def test_a_folder_may_have_any_name(tmp_path: Path) -> None:

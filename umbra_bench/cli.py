@@ -24,6 +24,21 @@ _COUNT = click.IntRange(1, 2**62)
 _FOLDER = click.Path(path_type=Path, file_okay=False)
 
 
+class _Steps(click.ParamType[int]):
+    """A whole number, which may be written as 1e9."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: Any, context: Any) -> int:
+        try:
+            number = float(value)
+        except ValueError:
+            number = 0.0
+        if not (1.0 <= number <= 2.0**53 and number.is_integer()):
+            self.fail(f"{value!r}: expected a whole number from 1 to {2**53}, such as 1e9")
+        return int(number)
+
+
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="umbra-bench")
 def cli() -> None:
@@ -146,6 +161,50 @@ def report(results: Path, output: Path, summary: bool, against: Path | None) -> 
     with _progress("Report") as listener:
         page = write_report(results, output, listener, against)
     click.echo(f"{page}")
+
+
+@cli.command()
+@click.argument("scenario")
+@click.option("--method", "methods", multiple=True, help="May be repeated. Default: all.")
+@click.option("--steps", type=_Steps(), default="1e7", show_default=True)
+@click.option("--dt", type=float, help="Step, s. Default: the scenario's default step.")
+@click.option("--precision", "precisions", multiple=True, type=_PRECISION, help="Default: both.")
+@click.option("--restart", is_flag=True, help="Forget what an earlier run left.")
+@click.option("--results", type=_FOLDER, default="results", show_default=True)
+@click.option("--output", type=_FOLDER, default="reports", show_default=True)
+def drift(
+    scenario: str,
+    methods: tuple[str, ...],
+    steps: int,
+    dt: float | None,
+    precisions: tuple[str, ...],
+    restart: bool,
+    results: Path,
+    output: Path,
+) -> None:
+    """Follow the energy error of SCENARIO over very many steps and tell the law of its growth.
+
+    Interrupted at any moment, the same command goes on where it was; more --steps go on from the end.
+    """
+    _prepare()
+    from umbra_bench import drift as long_runs
+    from umbra_bench.drift_figures import draw_drift
+    from umbra_bench.scenario import load_scenario
+
+    with _progress("Drift") as listener:
+        long_runs.run_drift(
+            load_scenario(scenario),
+            methods,
+            precisions or PRECISIONS,
+            steps,
+            dt,
+            results,
+            restart=restart,
+            listener=listener,
+        )
+    long_runs.print_drift(results)
+    for path in draw_drift(results, output):
+        click.echo(f"{path}")
 
 
 @cli.command()

@@ -310,6 +310,20 @@ class CompiledRun:
         """For how many steps from the start the energy was finite and within its limit."""
         return int(min(self._progress.steps, self._progress.broken))
 
+    @property
+    def position_and_velocity(self) -> tuple[np.ndarray, np.ndarray]:
+        """The state as it stands, shape (3, N) each."""
+        state = self._progress.state
+        return np.asarray(state.position), np.asarray(state.velocity)
+
+    def kept(self) -> list[np.ndarray]:
+        """All that a run knows of where it stands: what `resume` takes to go on bit for bit."""
+        return [np.asarray(leaf) for leaf in jax.tree.leaves(self._progress)]
+
+    def resume(self, kept: list[np.ndarray]) -> None:
+        """Stand where another run of the same method, system and step stood."""
+        self._progress = jax.tree.unflatten(jax.tree.structure(self._progress), kept)
+
     def _run(self, stride: int, samples: int, room_for: int | None = None) -> Any:
         bodies = self._progress.state.position.shape[1]
         capacity = _capacity(room_for or samples, bodies)

@@ -1,0 +1,371 @@
+"""Long runs: the energy error over as many steps as one has patience for, interrupted or not.
+
+A run is followed at steps that are spaced logarithmically and depend on nothing but their number; what
+happens between two of them is streamed by the compiled loop. Memory does not grow with the steps.
+Where it stands is kept every few seconds, exactly: a run that goes on is the run that was never
+interrupted, bit for bit.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from umbra_bench.compiled import COMPILED_METHODS, CompiledRun
+from umbra_bench.drift_law import fit_drift_law
+from umbra_bench.errors import UmbraBenchError, hint
+from umbra_bench.methods import METHODS
+from umbra_bench.metrics import DIVERGENCE
+from umbra_bench.reference import Reference, certified_reference
+from umbra_bench.results import load_table, replacing, together, write_table
+from umbra_bench.scenario import Scenario, scenario_hash
+from umbra_bench.simulation import open_run
+from umbra_bench.system import build_system
+
+PER_DECADE = 12
+KEEP_SECONDS = 10.0
+SLICE_SECONDS = 0.5
+"""The loop returns so often, to say how far it is and to be interrupted."""
+
+SERIES_SCHEMA: dict[str, Any] = {
+    "scenario": pl.String,
+    "method": pl.String,
+    "precision": pl.String,
+    "dt": pl.Float64,
+    "step": pl.Int64,
+    "t": pl.Float64,
+    "energy_error": pl.Float64,
+    "lowest": pl.Float64,
+    "highest": pl.Float64,
+}
+
+LAW_SCHEMA: dict[str, Any] = {
+    "scenario": pl.String,
+    "method": pl.String,
+    "precision": pl.String,
+    "dt": pl.Float64,
+    "steps": pl.Int64,
+    "energy_error_max": pl.Float64,
+    "law": pl.String,
+    "rate": pl.Float64,
+    "exponent": pl.Float64,
+    "standard_error": pl.Float64,
+    "evidence": pl.Float64,
+    "runner_up": pl.String,
+    "diverged_at": pl.Float64,
+}
+
+_LINE = ["scenario", "method", "precision", "dt"]
+
+Listener = Callable[[str, int, int], None]
+
+
+def run_drift(
+    scenario: Scenario,
+    methods: Sequence[str],
+    precisions: Sequence[str],
+    steps: int,
+    dt: float | None,
+    results: Path,
+    *,
+    restart: bool = False,
+    listener: Listener = lambda what, done, total: None,
+) -> pl.DataFrame:
+    """Follow methods over `steps` steps; write drift.csv, drift.parquet and drift_series.parquet.
+
+    Args:
+        scenario: one that conserves energy.
+        methods: compiled ones; none means all that a study runs unasked.
+        precisions: "float32", "float64".
+        dt: s; None means the scenario's default step.
+        results: where the tables and, in drift/, what is kept of unfinished runs lie.
+        restart: begin anew.
+        listener: told what runs, and how many steps of all are done.
+
+    Returns:
+        The rows of `drift` (`LAW_SCHEMA`) of these runs.
+
+    Raises:
+        UmbraBenchError: a method that is none, a scenario without a conserved energy, a kept state
+            that is damaged or belongs to something else.
+    """
+    names = [m for m in COMPILED_METHODS if METHODS[m].studied] if not methods else list(methods)
+    for name in names:
+        if name not in COMPILED_METHODS:
+            raise UmbraBenchError(
+                f"--method {name!r}: cannot be followed over so many steps"
+                f"{hint(name, COMPILED_METHODS)}"
+            )
+    reference = certified_reference(scenario)
+    if not reference.conserves("energy"):
+        raise UmbraBenchError(
+            f"scenario {scenario.name}: its energy is not conserved, so there is no drift to follow; "
+            "see `umbra-bench study` for its errors"
+        )
+    dt = scenario.default_step if dt is None else dt
+    lines = [(name, precision) for name in names for precision in dict.fromkeys(precisions)]
+    rows = []
+    for place, (method, precision) in enumerate(lines):
+
+        def told(what: str, done: int, before: int = place * steps) -> None:
+            listener(what, before + done, len(lines) * steps)
+
+        run = _LongRun(scenario, reference, method, precision, dt, results / "drift")
+        run.take_up(restart)
+        run.go_on(steps, told)
+        series, row = run.tables()
+        _merge(series, row, results)
+        rows.append(row)
+    return pl.concat(rows)
+
+
+def sample_steps(steps: int) -> list[int]:
+    """The steps at which runs are looked at, up to `steps`: twelve a decade, the same for every run."""
+    decades = math.ceil(math.log10(max(steps, 1)) * PER_DECADE) + 1
+    grid = sorted({round(10 ** (k / PER_DECADE)) for k in range(decades + 1)})
+    return [step for step in grid if step <= steps]
+
+
+@dataclass
+class _Interval:
+    """The extremes of the energy since the last sample, J."""
+
+    low: float = math.inf
+    high: float = -math.inf
+
+    def see(self, low: float, high: float) -> None:
+        # NaN is a result: it stays, where min and max of Python would drop it.
+        self.low, self.high = float(np.minimum(self.low, low)), float(np.maximum(self.high, high))
+
+
+@dataclass
+class _LongRun:
+    scenario: Scenario
+    reference: Reference
+    method: str
+    precision: str
+    dt: float
+    folder: Path
+    seen: list[tuple[float, float, float, float]] = field(default_factory=list)
+    interval: _Interval = field(default_factory=_Interval)
+
+    def __post_init__(self) -> None:
+        scale = self.reference.scales.energy
+        limit = DIVERGENCE * scale + float(abs(self.reference.observables.energy).max())
+        run = open_run(self.scenario, self.method, self.dt, self.precision, limit)
+        assert isinstance(run, CompiledRun)
+        self.run = run
+        self.steps = 0
+        # Energies are compared in one precision each: the samples in float64, what the loop streams in
+        # the precision of the run. Both start from the state that this precision holds.
+        self.exact = build_system(self.scenario)
+        own = build_system(self.scenario, self.precision)
+        start = run.position_and_velocity
+        with np.errstate(all="ignore"):
+            self.start = self._energy_now()
+            self.own_start = float(own.energy(*start))
+
+    @property
+    def line(self) -> dict[str, Any]:
+        names = self.scenario.name, self.method, self.precision, self.dt
+        return dict(zip(_LINE, names, strict=True))
+
+    @property
+    def place(self) -> Path:
+        name = f"{self.scenario.name}-{self.method}-{self.precision}-{self.dt!r}.npz"
+        return self.folder / name
+
+    @property
+    def key(self) -> str:
+        """All that the numbers depend on."""
+        versions = {name: metadata.version(name) for name in ("umbra-bench", "jax", "jaxlib")}
+        return json.dumps(
+            {**self.line, **versions, "hash": scenario_hash(self.scenario)}, sort_keys=True
+        )
+
+    def take_up(self, restart: bool) -> None:
+        """Stand where an earlier run stood, if there was one."""
+        if restart:
+            self.place.unlink(missing_ok=True)
+        if not self.place.is_file():
+            return
+        try:
+            with np.load(self.place, allow_pickle=False) as kept:
+                key = str(kept["key"])
+                leaves = [kept[f"leaf{i}"] for i in range(len(self.run.kept()))]
+                steps, seen, interval = int(kept["steps"]), kept["seen"], kept["interval"]
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise UmbraBenchError(
+                f"{self.place}: cannot be read ({type(error).__name__}); --restart begins anew"
+            ) from None
+        if key != self.key:
+            raise UmbraBenchError(
+                f"{self.place}: was kept by another version or of another scenario than "
+                f"{self.scenario.name} is now; --restart begins anew"
+            )
+        self.run.resume(leaves)
+        self.steps, self.interval = steps, _Interval(*map(float, interval))
+        self.seen = [tuple(row) for row in seen.tolist()]
+
+    def keep(self) -> None:
+        """Write where the run stands, whole or not at all."""
+        leaves: dict[str, Any] = {f"leaf{i}": leaf for i, leaf in enumerate(self.run.kept())}
+        interval = np.array([self.interval.low, self.interval.high])
+        seen = np.array(self.seen).reshape(-1, 4)
+        with replacing(self.place) as temporary, temporary.open("wb") as file:
+            np.savez(
+                file,
+                key=np.array(self.key),
+                steps=np.array(self.steps),
+                seen=seen,
+                interval=interval,
+                **leaves,
+            )
+
+    def go_on(self, steps: int, told: Callable[[str, int], None]) -> None:
+        """Take steps until `steps` are taken in all, or the energy has left its limit."""
+        pace, kept_at = 1e5, time.monotonic()
+        samples = set(sample_steps(steps))
+        grid = sorted(step for step in samples | {steps} if step > self.steps)
+        began, at_first = time.monotonic(), self.steps
+        self.keep()  # a folder that cannot be written is told of before the first step
+        try:
+            for goal in grid:
+                while self.steps < goal and self.run.intact_steps >= self.steps:
+                    size = min(goal - self.steps, max(1, int(pace * SLICE_SECONDS)))
+                    before = time.monotonic()
+                    self._advance(size)
+                    now = time.monotonic()
+                    if size > 1000:
+                        pace = max(1e3, size / max(now - before, 1e-6))
+                    if now - kept_at > KEEP_SECONDS:
+                        self.keep()
+                        kept_at = now
+                        told(
+                            self._progress(steps, (self.steps - at_first) / (now - began)),
+                            self.steps,
+                        )
+                if self.steps == goal and goal in samples:
+                    self._sample()
+        finally:
+            self.keep()
+        told(f"{self.method} {self.precision}", steps)
+
+    def _progress(self, steps: int, pace: float) -> str:
+        left = (steps - self.steps) / pace
+        return (
+            f"{self.method} {self.precision}: {self.steps:.3g} of {steps:.3g} steps, "
+            f"{pace:.2g} a second, {left:.0f} s left"
+        )
+
+    def _advance(self, size: int) -> None:
+        recording = self.run.advance(size, 1)
+        self.steps += size
+        self.interval.see(float(recording.low.energy[0]), float(recording.high.energy[0]))
+
+    def _sample(self) -> None:
+        self.seen.append(self._row())
+        self.interval = _Interval()
+
+    def _row(self) -> tuple[float, float, float, float]:
+        """Step, energy error at the step, lowest and highest error since the sample before."""
+        scale = self.reference.scales.energy
+        now = (self._energy_now() - self.start) / scale
+        low, high = ((e - self.own_start) / scale for e in (self.interval.low, self.interval.high))
+        return self.steps, now, float(np.minimum(low, now)), float(np.maximum(high, now))
+
+    def _energy_now(self) -> float:
+        position, velocity = self.run.position_and_velocity
+        with np.errstate(all="ignore"):
+            return float(self.exact.energy(position.astype(float), velocity.astype(float)))
+
+    def tables(self) -> tuple[pl.DataFrame, pl.DataFrame]:
+        """The series of samples, and the law that they follow."""
+        rows = list(self.seen)
+        if not rows or rows[-1][0] != self.steps:
+            rows.append(self._row())
+        step, error, low, high = np.array(rows).T
+        series = pl.DataFrame(
+            {
+                **{name: [value] * len(rows) for name, value in self.line.items()},
+                "step": step.astype(np.int64),
+                "t": step * self.dt,
+                "energy_error": error,
+                "lowest": low,
+                "highest": high,
+            },
+            SERIES_SCHEMA,
+        )
+        with np.errstate(invalid="ignore"):
+            size = np.maximum(abs(low), abs(high))
+        intact = step <= self.run.intact_steps
+        law = fit_drift_law(step[intact] * self.dt, size[intact])
+        broken = self.run.intact_steps < self.steps
+        row = {
+            **self.line,
+            "steps": self.steps,
+            "energy_error_max": float(size.max()),  # NaN stays NaN
+            **law._asdict(),
+            "diverged_at": self.run.intact_steps * self.dt if broken else None,
+        }
+        return series, pl.DataFrame([row], LAW_SCHEMA)
+
+
+def _merge(series: pl.DataFrame, law: pl.DataFrame, results: Path) -> None:
+    """Put rows in the place of those of the same scenario, method, precision and step."""
+    new = {"drift": law, "drift_series": series}
+    tables = {}
+    for name, rows in new.items():
+        if (results / f"{name}.parquet").is_file():
+            old = load_table(name, results).join(rows, on=_LINE, how="anti")
+            rows = pl.concat([old, rows])
+        tables[name] = rows.sort(_LINE, maintain_order=True)
+    with together(results, "drift") as fresh:
+        for name, rows in tables.items():
+            write_table(rows, name, fresh)
+
+
+def print_drift(results: Path) -> None:
+    """Print the laws, a table a scenario, each of which fits 100 columns."""
+    from rich.console import Console
+    from rich.table import Table
+
+    laws = load_table("drift", results)
+    for scenario in laws["scenario"].unique(maintain_order=True):
+        table = Table(title=f"{scenario}: energy error over long runs")
+        table.add_column("method", no_wrap=True)
+        for column in (
+            "precision",
+            "dt",
+            "steps",
+            "largest",
+            "law",
+            "rate, 1/s",
+            "exponent",
+            "evidence",
+        ):
+            table.add_column(column, justify="right")
+        for row in laws.filter(pl.col("scenario") == scenario).to_dicts():
+            broken = row["diverged_at"]
+            table.add_row(
+                row["method"],
+                row["precision"],
+                f"{row['dt']:g}",
+                f"{row['steps']:.0e}",
+                f"{row['energy_error_max']:.1e}",
+                row["law"] if broken is None else f"{row['law']}, beyond {broken:.4g} s diverged",
+                f"{row['rate']:.3g}" if math.isfinite(row["rate"]) else "",
+                f"{row['exponent']:.2f} ± {row['standard_error']:.2f}",
+                f"{row['evidence']:.0f}",
+            )
+        Console(width=100).print(table)
