@@ -13,13 +13,15 @@ import tempfile
 from collections.abc import Callable, Iterator
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.scenario import Scenario, scenario_hash
-from umbra_bench.study import Study
+
+if TYPE_CHECKING:
+    from umbra_bench.study import Study
 
 RESULTS = Path("results")
 """Where results are written and read by default."""
