@@ -186,7 +186,10 @@ def _line_data(t: ScenarioTables, method: str, precision: str, body: str) -> dic
     data: dict[str, Any] = {
         "method": method,
         "precision": precision,
-        "order": findings.order_text(t, method, precision, "position"),
+        "orders": {
+            quantity: findings.order_text(t, method, precision, quantity)
+            for quantity in ("position", "velocity", "energy")
+        },
         "dt": runs["dt"].to_list(),
         "position": _finite(runs["position_error_max"]),
         "velocity": _finite(runs["velocity_error_max"]),
