@@ -364,8 +364,7 @@ def draw(table: pl.DataFrame, path: Path) -> None:
                 axes.set_ylabel("ns a body and step")
                 handles = axes.get_legend_handles_labels()
         figure.legend(*handles, loc="center left", bbox_to_anchor=(0.745, 0.5))
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save(figure, path, path.suffix[1:])
+        save(figure, path)
 
 
 def main() -> None:
@@ -409,7 +408,7 @@ def main() -> None:
 
     Path("results").mkdir(exist_ok=True)
     table.write_csv("results/speed.csv")
-    draw(table, Path("reports/speed.svg"))
+    draw(table, Path("reports/speed"))
     console.print("results/speed.csv and reports/speed.svg are written")
 
 

@@ -139,6 +139,7 @@ def test_choosing_scenarios_methods_and_precision(opened: Any) -> None:
     rows = opened.locator("#values tbody tr").all_inner_texts()
     assert len(rows) == len(METHODS) - 1
     assert any("float64" in row for row in rows), "an engine keeps its own precision"
+    assert "order of energy" in opened.inner_text("#values thead")
     assert "quantity=energy" in opened.url
     assert "hide=umbra" in opened.url
 

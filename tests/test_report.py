@@ -186,8 +186,8 @@ def test_a_report_is_a_page_and_its_figures(tmp_path: Path) -> None:
     output = tmp_path / "new" / "reports"
     written = write_report(tmp_path / "results", output, lambda *what: told.append(what))
     assert written == output / "index.html"
-    assert [(done, total) for _, done, total in told] == [(n, 8) for n in range(1, 9)]
-    names = {f"{s}-{kind}" for s in ("soft", "stiff") for kind in FIGURES}
+    assert [(done, total) for _, done, total in told] == [(n, 9) for n in range(1, 10)]
+    names = {f"{s}-{kind}" for s in ("soft", "stiff") for kind in FIGURES} | {"orders"}
     files = {path.relative_to(output).as_posix() for path in output.rglob("*") if path.is_file()}
     pages = {"index.html", "index.md"}
     assert files == pages | {f"figures/{n}.{end}" for n in names for end in ("svg", "png")}
@@ -235,9 +235,9 @@ def test_the_command_draws_in_processes_of_its_own(
     assert ending.value.code == 0
     assert stdout == "pages/index.html\n"
     assert [line.partition("]")[0] for line in stderr.splitlines()] == [
-        f"[{n}/4" for n in (1, 2, 3, 4)
+        f"[{n}/5" for n in (1, 2, 3, 4, 5)
     ]
-    assert len(list((tmp_path / "pages" / "figures").iterdir())) == 2 * len(FIGURES)
+    assert len(list((tmp_path / "pages" / "figures").iterdir())) == 2 * len(FIGURES) + 2
 
 
 def test_a_report_never_simulates(
@@ -436,6 +436,47 @@ def test_the_numbers_of_a_caption_are_those_of_the_tables(
     assert more == []
 
 
+def test_a_caption_follows_its_table(tables: dict[str, ScenarioTables]) -> None:
+    """A number of the tables that changes changes the caption: none is written anywhere else."""
+    soft = tables["soft"]
+    umbra = pl.col("method") == "umbra"
+    columns = ("position_error_max", "energy_drift_rate", "energy_error_max")
+    for kind, column in zip(("error", "energy-time", "energy"), columns, strict=True):
+        runs = soft.runs.with_columns(
+            pl.when(umbra).then(3 * pl.col(column)).otherwise(pl.col(column)).alias(column)
+        )
+        spoilt = dataclasses.replace(soft, runs=runs)
+        before, after = (numbers_in(findings.caption(kind, of)) for of in (soft, spoilt))
+        assert len(before) == len(after)
+        assert sum(a != b for a, b in zip(before, after, strict=True)) == 1, kind
+
+
+def test_the_figure_of_all_orders_and_its_caption_are_those_of_the_table(
+    tables: dict[str, ScenarioTables], folder: Path
+) -> None:
+    orders = pl.read_csv(folder / "orders.csv").filter(
+        (pl.col("quantity") == "position")
+        & (pl.col("precision") == "float64")
+        & pl.col("order").is_finite()
+    )
+    whole, rest = plots.draw_orders(list(tables.values())).axes
+    labels = [text.get_text() for text in whole.get_yticklabels()]
+    caption = findings.orders_caption(list(tables.values()))
+    methods = [name for name in METHODS if name in METHODS_RUN]
+    for method, label, marks, bars in zip(
+        methods, labels, whole.containers, rest.containers, strict=True
+    ):
+        found = orders.filter(pl.col("method") == method)
+        title = METHODS[method].title
+        assert label.startswith(f"{title}  {found.height} of ")
+        np.testing.assert_array_equal(marks[0].get_xdata(), found["order"])
+        widths = [segment[1, 0] - segment[0, 0] for segment in bars[2][0].get_segments()]
+        np.testing.assert_allclose(widths, 2 * found["standard_error"], rtol=0, atol=1e-12)
+        stated = f"{title} {found['order'].median() or 0.0:.2f} ({found.height} scenarios)"
+        assert (stated in caption) == (found.height > 0)
+    assert orders.height >= 3
+
+
 def test_the_caption_of_the_motion_names_who_leaves_it(tables: dict[str, ScenarioTables]) -> None:
     for of in tables.values():
         caption = findings.caption("motion", of)
@@ -533,13 +574,12 @@ def test_energy_over_time_is_drawn_as_the_table_has_it(
                 series = of.energy.filter(
                     (pl.col("method") == method) & (pl.col("precision") == precision)
                 )
-                np.testing.assert_array_equal(t, series["t"])
-                kept = np.isfinite(size)
                 lowest, highest = (abs(series[c].to_numpy()) for c in ("lowest", "highest"))
-                largest = np.fmax(lowest, highest)
-                np.testing.assert_array_equal(size[kept], largest[kept])
-                left_out = largest[~kept]
-                assert not ((left_out > 0) & (left_out < BLOWN_UP)).any()
+                largest = dict(zip(series["t"], np.fmax(lowest, highest), strict=True))
+                within = [e for e in largest.values() if 0 < e < BLOWN_UP]
+                kept = np.isfinite(size)
+                assert [largest[when] for when in t[kept]] == size[kept].tolist()
+                assert size[kept].max() == max(within), "no crest is lost"
             assert curves(axes)
 
 
@@ -595,7 +635,10 @@ def test_the_legend_names_every_method_with_its_order(
             if math.isnan(row["order"]):
                 assert numbers_in(stated) == []
             else:
-                assert stated == f"({row['order']:.2f})"
+                order, *error = numbers_in(stated)
+                assert order == round(row["order"], 3)
+                assert error == ([round(row["standard_error"], 3)] if "±" in stated else [])
+                assert "±" in stated or row["standard_error"] < 0.0005
 
 
 def test_a_look_is_of_one_method() -> None:
@@ -652,7 +695,7 @@ def test_the_pictures_of_a_scenario_of_any_name_are_found(
     save_study(renamed(name), tmp_path / "results")
     page = write_report(tmp_path / "results", tmp_path / "reports").with_suffix(".md")
     links = links_on(page.read_text(encoding="utf-8"))
-    assert len(set(links)) == 2
+    assert len(set(links)) == 4, "of its motion, and of all orders"
     for link in links:
         assert (page.parent / unquote(link)).is_file(), link
 

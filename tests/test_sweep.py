@@ -252,7 +252,7 @@ def test_a_map_for_two_keys_and_curves_for_one(tmp_path: Path, text: str, figure
     plan = planned(tmp_path, text)
     drawn = draw_sweep(plan, run_sweep(plan, tmp_path), tmp_path)
     assert len(drawn) == figures
-    assert all(path.read_bytes().startswith(b"\x89PNG") for path in drawn)
+    assert all(Path(f"{path}.png").read_bytes().startswith(b"\x89PNG") for path in drawn)
 
 
 @pytest.mark.parametrize(

@@ -204,7 +204,7 @@ def drift(
         )
     long_runs.print_drift(results)
     for path in draw_drift(results, output):
-        click.echo(f"{path}")
+        click.echo(f"{path}.svg")
 
 
 @cli.command()
@@ -245,7 +245,7 @@ def sweep(
         )
     click.echo(f"{table}: {planned.runs} runs")
     for path in figures.draw_sweep(planned, table, output / "sweeps"):
-        click.echo(f"{path}")
+        click.echo(f"{path}.svg")
 
 
 @cli.command()

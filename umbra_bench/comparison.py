@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from umbra_bench.gate import ORDER_DROP, TOLERANCE
-from umbra_bench.metrics import FLOOR_FACTOR
+from umbra_bench.metrics import FLOOR_FACTOR, ORDER_DROP, TOLERANCE
 from umbra_bench.plots import ScenarioTables
 
 METRICS = {

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from umbra_bench.plots import CLIP, PRECISIONS, log_scale, look_of, save, styled
-from umbra_bench.results import load_table, replacing
+from umbra_bench.results import load_table
 from umbra_bench.wording import method_title
 
 
@@ -19,7 +19,7 @@ def draw_drift(results: Path, output: Path) -> list[Path]:
     """Draw each scenario's long runs: does the energy error stay within bounds, and in which precision?
 
     Returns:
-        The files written, `figures/SCENARIO-drift.svg` and `.png`; none where no long run was made.
+        `figures/SCENARIO-drift` without its endings, svg and png; none where no long run was made.
     """
     if not (results / "drift_series.parquet").is_file():
         return []
@@ -27,11 +27,7 @@ def draw_drift(results: Path, output: Path) -> list[Path]:
     written = []
     for scenario in series["scenario"].unique(maintain_order=True):
         figure = _draw(*(t.filter(pl.col("scenario") == scenario) for t in (series, laws)))
-        for ending in ("svg", "png"):
-            path = output / "figures" / f"{scenario}-drift.{ending}"
-            with replacing(path) as temporary:
-                save(figure, temporary, ending)
-            written.append(path)
+        written.append(save(figure, output / "figures" / f"{scenario}-drift"))
     return written
 
 

@@ -12,10 +12,17 @@ from typing import Any, NamedTuple
 import polars as pl
 
 from umbra_bench.errors import UmbraBenchError, hint, one_line
-from umbra_bench.gate import METRICS, ORDER_DROP, TOLERANCE, load_baseline
-from umbra_bench.metrics import FLOOR_FACTOR, SMALL_ERROR, ErrorPoint, asymptotic_range
+from umbra_bench.gate import METRICS, load_baseline
+from umbra_bench.metrics import (
+    FLOOR_FACTOR,
+    ORDER_DROP,
+    SMALL_ERROR,
+    TOLERANCE,
+    ErrorPoint,
+    asymptotic_range,
+)
 from umbra_bench.results import RESULTS, load_environment, load_scenarios, load_table
-from umbra_bench.study import QUANTITIES
+from umbra_bench.schemas import QUANTITIES
 from umbra_bench.wording import number
 
 WIDTH = 100

@@ -9,8 +9,8 @@ from typing import Any
 
 import polars as pl
 
-from umbra_bench.methods import METHODS
-from umbra_bench.plots import ScenarioTables
+from umbra_bench import wording
+from umbra_bench.plots import ScenarioTables, methods_of
 from umbra_bench.wording import method_title, number
 
 EXACT = 1e-9
@@ -28,7 +28,7 @@ def order_text(tables: ScenarioTables, method: str, precision: str, quantity: st
         return "–"
     order, error = row.select("order", "standard_error").row(0)
     if math.isfinite(order):
-        return f"{order:.2f} ± {error:.2f}" if error >= 0.005 else f"{order:.2f}"
+        return wording.order_text(order, error)
     run = at_default_step(tables, method, precision)
     exact = run and run["position_error_max"] < EXACT * tables.reference["length_scale"]
     return "exact" if exact else "none"
@@ -215,10 +215,16 @@ def caption(figure: str, tables: ScenarioTables) -> str:
             return f"The reference is the wide grey line beneath. {leaving}"
 
 
-def methods_of(tables: Sequence[ScenarioTables]) -> list[str]:
-    """All methods of some results, in the order of the table of methods."""
-    found = {method for t in tables for method in t.methods}
-    return [name for name in METHODS if name in found] + sorted(found - set(METHODS))
+def orders_caption(tables: Sequence[ScenarioTables]) -> str:
+    """What the figure of all orders says, with the numbers."""
+    medians = [
+        f"{method_title(method)} {statistics.median(found.values()):.2f} ({len(found)} scenarios)"
+        for method in methods_of(tables)
+        if (found := orders_of_position(tables, method))
+    ]
+    if not medians:
+        return "No method shows an order in float64."
+    return f"Median of the observed orders of position, float64: {', '.join(medians)}."
 
 
 def orders_of_position(

@@ -36,20 +36,16 @@ import numpy as np
 
 from umbra_bench.errors import UmbraBenchError, UnsupportedScenario, hint, one_line, short
 from umbra_bench.methods import METHODS, PRECISIONS, find_method
+from umbra_bench.metrics import ORDER_DROP, TOLERANCE
 from umbra_bench.parallel import map_in_processes
 from umbra_bench.reference import Reference, certified_reference
 from umbra_bench.results import RESULTS, load_json, save_json
 from umbra_bench.scenario import Scenario, list_scenarios, load_scenario, scenario_hash
-from umbra_bench.study import QUANTITIES, measure, run_on_grid
+from umbra_bench.schemas import QUANTITIES
+from umbra_bench.study import measure, run_on_grid
 
 BASELINE = RESULTS / "baseline.json"
 FORMAT = "umbra-bench baseline 1"
-
-TOLERANCE = 0.01
-"""An error may exceed its baseline by this part of it (and by the round-off floor)."""
-
-ORDER_DROP = 0.1
-"""An observed order may fall below its baseline by this much."""
 
 TRUTH_TOLERANCE = 1e-8
 """The reference may move by this part of the motion's size: rounding, far below any change of law."""

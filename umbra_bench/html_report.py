@@ -20,7 +20,7 @@ from plotly.offline import get_plotlyjs
 
 from umbra_bench import findings
 from umbra_bench.overview import energy_fate, overview
-from umbra_bench.plots import ScenarioTables, look_of
+from umbra_bench.plots import ScenarioTables, look_of, methods_of
 from umbra_bench.wording import method_title, number
 
 POINTS = 160
@@ -94,7 +94,7 @@ def _script_json(value: Any) -> Markup:
 def _matrix(tables: Sequence[ScenarioTables]) -> list[dict[str, Any]]:
     """Methods against scenarios in float64 (an engine's own precision): a cell each."""
     rows = []
-    for method in findings.methods_of(tables):
+    for method in methods_of(tables):
         cells: list[dict[str, Any] | None] = []
         for t in tables:
             run = findings.at_default_step(t, method, "float64")
@@ -116,7 +116,7 @@ def _matrix(tables: Sequence[ScenarioTables]) -> list[dict[str, Any]]:
 
 def explorer_data(tables: Sequence[ScenarioTables]) -> dict[str, Any]:
     """What the explorer draws: methods with their looks, and the series of every scenario."""
-    methods = findings.methods_of(tables)
+    methods = methods_of(tables)
     return {
         "methods": [
             {"name": name, "title": method_title(name), "colour": look_of(name).colour}
@@ -186,7 +186,10 @@ def _line_data(t: ScenarioTables, method: str, precision: str, body: str) -> dic
     data: dict[str, Any] = {
         "method": method,
         "precision": precision,
-        "order": findings.order_text(t, method, precision, "position"),
+        "orders": {
+            quantity: findings.order_text(t, method, precision, quantity)
+            for quantity in ("position", "velocity", "energy")
+        },
         "dt": runs["dt"].to_list(),
         "position": _finite(runs["position_error_max"]),
         "velocity": _finite(runs["velocity_error_max"]),

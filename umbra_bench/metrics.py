@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from umbra_bench.umbra.bodies import Bodies
+if TYPE_CHECKING:
+    from umbra_bench.umbra.bodies import Bodies
 
 DIVERGENCE = 1e12
 """An energy beyond this multiple of the scenario's energy scale counts as a divergence."""
@@ -33,6 +34,12 @@ LEAST_ORDER = 0.5
 
 LEAST_POINTS = 3
 """The least number of steps in an asymptotic range."""
+
+TOLERANCE = 0.01
+"""An error may exceed that of an earlier run by this part of it (and by the round-off floor)."""
+
+ORDER_DROP = 0.1
+"""An observed order may fall below that of an earlier run by this much."""
 
 
 def gyration(bodies: Bodies) -> np.ndarray:

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 from rich.console import Console
 from rich.table import Table
 
-from umbra_bench.findings import at_default_step, methods_of, orders_of_position
-from umbra_bench.plots import ScenarioTables
+from umbra_bench.findings import at_default_step, orders_of_position
+from umbra_bench.plots import ScenarioTables, methods_of
 from umbra_bench.wording import method_title, number
 
 SECULAR = 0.5

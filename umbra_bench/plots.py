@@ -6,8 +6,9 @@ which colour-blind readers can tell apart.
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import resources
@@ -20,11 +21,12 @@ import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from umbra_bench.methods import METHODS
 from umbra_bench.metrics import FLOOR_FACTOR
-from umbra_bench.wording import method_title
+from umbra_bench.results import replacing
+from umbra_bench.wording import method_title, order_text
 
 
 class Look(NamedTuple):
@@ -55,6 +57,24 @@ LOOKS: dict[str, Look] = {
 _UNKNOWN = Look("#444444", (0, (5, 1, 1, 1, 1, 1)), "h")
 
 
+def methods_of(tables: Sequence[ScenarioTables]) -> list[str]:
+    """All methods of some results, in the order of the table of methods."""
+    return in_order(method for t in tables for method in t.methods)
+
+
+def in_order(methods: Iterable[str]) -> list[str]:
+    """Methods, each once, in the order of the table of methods; unknown ones last."""
+    found = set(methods)
+    return [name for name in METHODS if name in found] + sorted(found - set(METHODS))
+
+
+def one_precision(table: pl.DataFrame, method: str) -> pl.DataFrame:
+    """A method's rows in float64, or in the only precision that it has."""
+    rows = table.filter(pl.col("method") == method)
+    precisions = rows["precision"].unique()
+    return rows.filter(pl.col("precision") == precisions.max()) if len(precisions) else rows
+
+
 def look_of(method: str) -> Look:
     """How a method is drawn; one that nobody thought of is grey."""
     return LOOKS.get(method, _UNKNOWN)
@@ -63,6 +83,9 @@ def look_of(method: str) -> Look:
 PRECISIONS = ("float64", "float32")
 CLIP = 1e6
 """A log axis ends at this multiple of the motion's scale: what is beyond has diverged."""
+
+WINDOWS = 120
+"""A run's energy error is drawn as its largest value in each of this many parts."""
 
 
 @dataclass(frozen=True)
@@ -83,8 +106,7 @@ class ScenarioTables:
     @property
     def methods(self) -> list[str]:
         """The methods that were run, in the order of the table of methods."""
-        found = set(self.runs["method"])
-        return [name for name in METHODS if name in found] + sorted(found - set(METHODS))
+        return in_order(self.runs["method"])
 
     @property
     def default_step(self) -> float:
@@ -110,7 +132,8 @@ def _draw_against_dt(tables: ScenarioTables, quantity: str, label: str) -> Figur
         floor = FLOOR_FACTOR * tables.reference[f"{quantity}_bound"]
         _finish_log_panels(panels, floor, "floor of the reference")
         for axes in panels:
-            slope_guides(axes)
+            if axes.get_lines():
+                slope_guides(axes)
         _legend(figure, tables, quantity)
     return figure
 
@@ -126,22 +149,76 @@ def draw_energy_over_time(tables: ScenarioTables) -> Figure:
                 series = _line(tables.energy, method, precision).sort("t")
                 if series.is_empty():
                     continue
-                with np.errstate(all="ignore"):
-                    size = np.fmax(
-                        abs(series["lowest"].to_numpy()), abs(series["highest"].to_numpy())
-                    )
-                size = np.where(np.isfinite(size) & (size < CLIP) & (size > 0), size, np.nan)
                 axes.set_xlim(0.0, series["t"][-1])
+                time, size = envelope(series)
                 if np.isnan(size).all():
                     continue
                 look = look_of(method)
-                axes.plot(series["t"], size, color=look.colour, linestyle=look.line, lw=1.0)
+                axes.plot(time, size, color=look.colour, linestyle=look.line, lw=1.0)
             if not axes.get_lines():
                 _say(axes, "no method shows any energy error")
         _finish_log_panels(
             panels, FLOOR_FACTOR * tables.reference["energy_bound"], "floor of the reference"
         )
         _legend(figure, tables, None)
+    return figure
+
+
+def envelope(series: pl.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+    """The largest size of the energy error in each of `WINDOWS` equal parts of a run, at its time.
+
+    What swings faster than a window is a line at its crest; a window without an error that a log axis
+    can show is not a number.
+    """
+    time = series["t"].to_numpy()
+    with np.errstate(all="ignore"):
+        size = np.fmax(abs(series["lowest"].to_numpy()), abs(series["highest"].to_numpy()))
+    size = np.where(np.isfinite(size) & (size < CLIP) & (size > 0), size, -np.inf)
+    window = np.minimum(WINDOWS * time / time[-1], WINDOWS - 1).astype(int)
+    starts = np.flatnonzero(np.diff(window, prepend=-1))
+    ends = np.append(starts[1:], len(size))
+    crests = [
+        begin + int(size[begin:end].argmax()) for begin, end in zip(starts, ends, strict=True)
+    ]
+    return time[crests], np.where(size[crests] > 0, size[crests], np.nan)
+
+
+def draw_orders(tables: Sequence[ScenarioTables]) -> Figure:
+    """Which order of position does each method really have? In float64, or in its own precision."""
+    orders = pl.concat([t.orders for t in tables]).filter(pl.col("quantity") == "position")
+    methods = methods_of(tables)
+    with styled():
+        figure = Figure(figsize=(9.2, 0.9 + 0.26 * len(methods)))
+        FigureCanvasAgg(figure)
+        whole, rest = figure.subplots(
+            1, 2, sharey=True, gridspec_kw={"left": 0.26, "right": 0.985, "wspace": 0.06}
+        )
+        figure.subplots_adjust(bottom=0.5 / figure.get_figheight(), top=0.97)
+        labels = []
+        for row, method in enumerate(methods):
+            found = one_precision(orders, method)
+            shown = found.filter(pl.col("order").is_finite())
+            labels.append(f"{_label(method)}  {shown.height} of {found.height}")
+            order = shown["order"].to_numpy()
+            look = look_of(method)
+            place = row + np.linspace(-0.3, 0.3, shown.height) if shown.height > 1 else [row]
+            for axes, value in ((whole, order), (rest, order - np.round(order))):
+                axes.errorbar(
+                    value,
+                    place[: shown.height],
+                    xerr=shown["standard_error"].to_numpy(),
+                    color=look.colour,
+                    marker=look.marker,
+                    linestyle="none",
+                    elinewidth=1.0,
+                )
+        whole.set_yticks(range(len(methods)), labels)
+        whole.set_ylim(len(methods) - 0.4, -0.6)
+        whole.set_xlim(0.4, 5.4)
+        rest.xaxis.set_major_locator(MaxNLocator(5))
+        rest.axvline(0.0, color="#777777", lw=0.7)
+        whole.set_xlabel("observed order of position, by scenario")
+        rest.set_xlabel("distance from a whole order ± standard error")
     return figure
 
 
@@ -215,11 +292,18 @@ _PICTURES: dict[str, Picture] = {
 }
 
 
-def save(figure: Figure, path: Path, ending: str) -> None:
-    """Write a figure as "svg" or "png"; the same figure gives the same bytes."""
-    metadata = {"Date": None} if ending == "svg" else {}
-    with styled():
-        figure.savefig(path, format=ending, metadata=metadata)
+def save(figure: Figure, path: Path) -> Path:
+    """Write a figure as SVG and as PNG; the same figure gives the same bytes.
+
+    `path`: without an ending; it is returned.
+
+    Raises:
+        UmbraBenchError: the folder or a file cannot be written.
+    """
+    for ending, metadata in (("svg", {"Date": None}), ("png", {})):
+        with styled(), replacing(path.with_name(f"{path.name}.{ending}")) as temporary:
+            figure.savefig(temporary, format=ending, metadata=metadata)
+    return path
 
 
 # Parts of figures ---------------------------------------------------------------------------------
@@ -228,21 +312,29 @@ def save(figure: Figure, path: Path, ending: str) -> None:
 @contextmanager
 def styled() -> Iterator[None]:
     """The style of all figures."""
-    style = resources.files("umbra_bench") / "report.mplstyle"
-    with resources.as_file(style) as path, mpl.rc_context(fname=str(path)):
+    with mpl.rc_context(_style()):
         yield
+
+
+@functools.cache
+def _style() -> mpl.RcParams:
+    """The style file, read once."""
+    with resources.as_file(resources.files("umbra_bench") / "report.mplstyle") as path:
+        return mpl.rc_params_from_file(path, use_default_template=False)
 
 
 def _panels(y_label: str, x_label: str = "step dt (s)") -> tuple[Figure, list[Axes]]:
     """Two panels, float64 and float32, with one y axis and room for a legend on the right."""
-    figure = Figure(figsize=(9.2, 3.7))
+    figure = Figure(figsize=(9.6, 3.7))
     FigureCanvasAgg(figure)
-    left = figure.add_axes((0.075, 0.14, 0.31, 0.77))
-    right = figure.add_axes((0.412, 0.14, 0.31, 0.77), sharey=left)
+    left = figure.add_axes((0.073, 0.14, 0.297, 0.77))
+    right = figure.add_axes((0.396, 0.14, 0.297, 0.77), sharex=left, sharey=left)
     right.tick_params(labelleft=False)
     left.set_ylabel(y_label)
+    left.yaxis.set_label_coords(-0.165, 0.5)
     for axes in (left, right):
         axes.set_xlabel(x_label)
+        axes.xaxis.set_label_coords(0.5, -0.11)
     return figure, [left, right]
 
 
@@ -284,6 +376,7 @@ def log_scale(axes: Axes, *names: str) -> None:
         axis = getattr(axes, f"{name}axis")
         axis.set_major_formatter(FuncFormatter(_power_of_ten))
         axis.set_minor_formatter(NullFormatter())
+        axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
 
 
 def _power_of_ten(value: float, _: int) -> str:
@@ -309,13 +402,13 @@ def _finish_log_panels(panels: list[Axes], floor: float, label: str) -> None:
         axes.axhspan(low, floor, color="#efefef", zorder=0)
         decades = math.log10(high / low)
         axes.yaxis.set_major_locator(LogLocator(numticks=8 if decades > 8 else 12))
+        axes.yaxis.set_minor_locator(NullLocator())
     panels[0].text(
         0.02,
-        floor / 2,
+        0.015,
         label,
-        transform=panels[0].get_yaxis_transform(),
+        transform=panels[0].transAxes,
         fontsize=7,
-        va="top",
         color="#777777",
     )
 
@@ -352,12 +445,12 @@ def _legend(figure: Figure, tables: ScenarioTables, quantity: str | None) -> Non
         style = {"color": look.colour, "linestyle": look.line}
         handles.append(mpl.lines.Line2D([], [], marker=look.marker if quantity else "", **style))
         labels.append(_label(method) + (_order(tables, method, quantity) if quantity else ""))
-    title = "method (observed order)" if quantity else None
+    title = "method (order ± standard error)" if quantity else None
     figure.legend(
         handles,
         labels,
         loc="center left",
-        bbox_to_anchor=(0.735, 0.53),
+        bbox_to_anchor=(0.703, 0.53),
         title=title,
         title_fontsize=8,
         alignment="left",
@@ -366,12 +459,10 @@ def _legend(figure: Figure, tables: ScenarioTables, quantity: str | None) -> Non
 
 def _order(tables: ScenarioTables, method: str, quantity: str) -> str:
     """In float64, or in the only precision that an engine has."""
-    row = tables.orders.filter(
-        (pl.col("method") == method) & (pl.col("quantity") == quantity)
-    ).sort("precision", descending=True)
+    row = one_precision(tables.orders.filter(pl.col("quantity") == quantity), method)
     if row.is_empty() or not math.isfinite(row["order"][0]):
         return " (none)"
-    return f" ({row['order'][0]:.2f})"
+    return f" ({order_text(row['order'][0], row['standard_error'][0], 3)})"
 
 
 def _label(method: str) -> str:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import quote
 
 import polars as pl
@@ -24,8 +26,10 @@ from umbra_bench.results import (
     load_table,
     replacing,
 )
-from umbra_bench.study import Study
 from umbra_bench.wording import render
+
+if TYPE_CHECKING:
+    from umbra_bench.study import Study
 
 FIGURES: dict[str, tuple[str, Callable[[ScenarioTables], Any]]] = {
     "error": ("Error against step size", plots.draw_error),
@@ -54,24 +58,27 @@ def write_report(
     if against is not None:
         tables = beside(tables, load_scenario_tables(against))
     changed = Changed(str(against), differences(tables)) if against is not None else None
-    folder = output / "figures"
-    jobs = [(t, name, folder) for t in tables for name in FIGURES]
-    for done, path in enumerate(map_in_processes(_draw, jobs), start=1):
-        listener(path.name, done, len(jobs))
     claims = _claims(results)
-    pages = {
-        "index.md": render_page(tables, results, changed),
-        "index.html": render_html(
-            tables,
-            claims=claims,
-            engines=_engines(results),
-            skips=load_table("skips", results).to_dicts(),
-            environment=load_environment(results),
-            changed=changed,
-            curves=load_table("claims_curves", results, CURVES_SCHEMA) if claims else None,
-        ),
-    }
-    for name, text in pages.items():
+    markdown = render_page(tables, results, changed)
+    page = functools.partial(
+        render_html,
+        tables,
+        claims=claims,
+        engines=_engines(results),
+        skips=load_table("skips", results).to_dicts(),
+        environment=load_environment(results),
+        changed=changed,
+        curves=load_table("claims_curves", results, CURVES_SCHEMA) if claims else None,
+    )
+    folder = output / "figures"
+    figures = [functools.partial(_draw_orders, [_without_series(t) for t in tables], folder)]
+    figures += [functools.partial(_draw, t, name, folder) for t in tables for name in FIGURES]
+    pieces: list[Callable[[], Any]] = [page, *figures]
+    work = map_in_processes(_call, pieces)
+    html = next(work)  # the longest piece: the figures are drawn beside it
+    for done, path in enumerate(work, start=1):
+        listener(path.name, done, len(figures))
+    for name, text in (("index.md", markdown), ("index.html", html)):
         with replacing(output / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
     return output / "index.html"
@@ -166,6 +173,7 @@ def render_page(tables: list[ScenarioTables], results: Path, changed: Changed | 
             for t in tables
         ],
         orders=findings.order_table(tables),
+        orders_caption=findings.orders_caption(tables),
         drifts=findings.drift_table(tables),
         engines=_engines(results),
         changed=changed,
@@ -187,11 +195,19 @@ def _claims(results: Path) -> dict[str, Any] | None:
     return load_claims(results) if (results / "claims.json").is_file() else None
 
 
-def _draw(job: tuple[ScenarioTables, str, Path]) -> Path:
-    tables, name, folder = job
-    figure = FIGURES[name][1](tables)
-    path = folder / f"{tables.scenario['name']}-{name}"
-    for ending in ("svg", "png"):
-        with replacing(path.with_name(f"{path.name}.{ending}")) as temporary:
-            plots.save(figure, temporary, ending)
-    return path
+def _call(piece: Callable[[], Any]) -> Any:
+    return piece()
+
+
+def _draw(tables: ScenarioTables, name: str, folder: Path) -> Path:
+    return plots.save(FIGURES[name][1](tables), folder / f"{tables.scenario['name']}-{name}")
+
+
+def _draw_orders(tables: list[ScenarioTables], folder: Path) -> Path:
+    return plots.save(plots.draw_orders(tables), folder / "orders")
+
+
+def _without_series(tables: ScenarioTables) -> ScenarioTables:
+    """What the figure of orders needs: less to hand to another process."""
+    none = tables.motion.clear()
+    return dataclasses.replace(tables, motion=none, energy=none, before=None)

@@ -20,14 +20,16 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
 from umbra_bench.errors import ScenarioError, UmbraBenchError, one_line, short
 from umbra_bench.scenario import Scenario, parse_scenario, scenario_hash
 from umbra_bench.soundness import Environment, check_document, check_table
-from umbra_bench.study import Study
+
+if TYPE_CHECKING:
+    from umbra_bench.study import Study
 
 RESULTS = Path("results")
 """Where results are written and read by default."""

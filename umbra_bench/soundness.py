@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from umbra_bench.errors import UmbraBenchError, one_line, short
 from umbra_bench.methods import PRECISIONS
-from umbra_bench.study import (
+from umbra_bench.schemas import (
     ENERGY_SCHEMA,
     MOTION_SCHEMA,
     ORDERS_SCHEMA,

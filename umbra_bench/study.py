@@ -30,6 +30,14 @@ from umbra_bench.metrics import (
 from umbra_bench.parallel import map_in_processes
 from umbra_bench.reference import Reference, certified_reference
 from umbra_bench.scenario import Scenario
+from umbra_bench.schemas import (
+    ENERGY_SCHEMA,
+    ORDERS_SCHEMA,
+    QUANTITIES,
+    REFERENCES_SCHEMA,
+    SKIPS_SCHEMA,
+    STUDY_SCHEMA,
+)
 from umbra_bench.simulation import Trajectory, simulate
 
 ENGINE_STEPS = 2000
@@ -40,80 +48,6 @@ QUICK_HALVINGS = 3
 
 MOTION_BODIES = 4
 """Of how many bodies the motion is kept for pictures."""
-
-QUANTITIES = {
-    "position": "position_error_max",
-    "velocity": "velocity_error_max",
-    "energy": "energy_error_max",
-}
-"""The quantities whose order is observed, and the column that holds their error."""
-
-STUDY_SCHEMA: dict[str, Any] = {
-    "scenario": pl.String,
-    "method": pl.String,
-    "precision": pl.String,
-    "dt": pl.Float64,
-    "steps": pl.Int64,
-    "position_error_max": pl.Float64,
-    "velocity_error_max": pl.Float64,
-    "position_error_final": pl.Float64,
-    "energy_error_max": pl.Float64,
-    "energy_drift_rate": pl.Float64,
-    "angular_momentum_error_max": pl.Float64,
-    "reference_error": pl.Float64,
-    "diverged_at": pl.Float64,
-    "wall_time": pl.Float64,
-}
-
-ORDERS_SCHEMA: dict[str, Any] = {
-    "scenario": pl.String,
-    "method": pl.String,
-    "precision": pl.String,
-    "quantity": pl.String,
-    "order": pl.Float64,
-    "standard_error": pl.Float64,
-    "points": pl.Int64,
-}
-
-
-REFERENCES_SCHEMA: dict[str, Any] = {
-    "scenario": pl.String,
-    "position_bound": pl.Float64,
-    "velocity_bound": pl.Float64,
-    "energy_bound": pl.Float64,
-    "independent": pl.String,
-    "independent_difference": pl.Float64,
-    "tolerance_difference": pl.Float64,
-    "energy_drift": pl.Float64,
-    "angular_momentum_drift": pl.Float64,
-    "length_scale": pl.Float64,
-    "speed_scale": pl.Float64,
-    "energy_scale": pl.Float64,
-    "angular_momentum_scale": pl.Float64,
-}
-
-SKIPS_SCHEMA: dict[str, Any] = {"scenario": pl.String, "method": pl.String, "reason": pl.String}
-
-MOTION_SCHEMA: dict[str, Any] = {
-    "scenario": pl.String,
-    "method": pl.String,
-    "precision": pl.String,
-    "dt": pl.Float64,
-    "t": pl.Float64,
-    "body": pl.String,
-    **dict.fromkeys(("x", "y", "angle", "vx", "vy", "omega"), pl.Float64),
-}
-
-ENERGY_SCHEMA: dict[str, Any] = {
-    "scenario": pl.String,
-    "method": pl.String,
-    "precision": pl.String,
-    "dt": pl.Float64,
-    "t": pl.Float64,
-    "energy_error": pl.Float64,
-    "lowest": pl.Float64,
-    "highest": pl.Float64,
-}
 
 
 @dataclass(frozen=True)

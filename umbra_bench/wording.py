@@ -24,6 +24,12 @@ def number(value: float | None, digits: int = 2) -> str:
     return f"{value:.{digits - 1}e}"
 
 
+def order_text(order: float, standard_error: float, decimals: int = 2) -> str:
+    """An observed order with its standard error, which is left out where it rounds to nothing."""
+    error = f"{standard_error:.{decimals}f}"
+    return f"{order:.{decimals}f}" + (f" ± {error}" if float(error) else "")
+
+
 def method_title(method: str) -> str:
     """The method's name for people."""
     return METHODS[method].title if method in METHODS else method

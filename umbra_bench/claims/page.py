@@ -34,10 +34,7 @@ def write_page(results: Path, output: Path) -> Path:
     document = load_claims(results)
     curves = load_table("claims_curves", results, CURVES_SCHEMA)
     for name, draw in FIGURES.items():
-        figure = draw(curves)
-        for ending in ("svg", "png"):
-            with replacing(output / "figures" / f"claims-{name}.{ending}") as temporary:
-                plots.save(figure, temporary, ending)
+        plots.save(draw(curves), output / "figures" / f"claims-{name}")
     page = output / "claims.md"
     text = render_page(document)
     with replacing(page) as temporary:

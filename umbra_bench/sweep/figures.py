@@ -13,7 +13,6 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from umbra_bench.plots import log_scale, look_of, save, styled
-from umbra_bench.results import replacing
 from umbra_bench.sweep.plan import Plan
 from umbra_bench.wording import method_title
 
@@ -28,23 +27,17 @@ def draw_sweep(plan: Plan, table: Path, folder: Path) -> list[Path]:
     precision, of the first two (of further ones the worst run counts).
 
     Returns:
-        The figures written; none where no run has an energy error.
+        The figures written, without their endings, svg and png; none where no run has an energy error.
     """
     rows = pl.read_parquet(table, glob=False)
     if rows["energy_error_max"].is_null().all():
         return []
     if len(plan.keys) == 1:
-        return [_write(_curves(plan, rows), folder / f"{plan.name}.png")]
+        return [save(_curves(plan, rows), folder / plan.name)]
     return [
-        _write(_map(plan, rows, *line), folder / f"{plan.name}-{line[0]}-{line[1]}.png")
+        save(_map(plan, rows, *line), folder / f"{plan.name}-{line[0]}-{line[1]}")
         for line in plan.lines
     ]
-
-
-def _write(figure: Figure, path: Path) -> Path:
-    with replacing(path) as temporary:
-        save(figure, temporary, "png")
-    return path
 
 
 def _curves(plan: Plan, rows: pl.DataFrame) -> Figure:

@@ -60,7 +60,7 @@
     const { ink, line } = colours();
     const axis = { gridcolor: line, zerolinecolor: line, linecolor: ink, automargin: true };
     return { paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: ink, size: 12 }, margin: { l: 60, r: 10, t: 10, b: 45 },
-      hovermode: "closest", showlegend: true, modebar: { orientation: "v", bgcolor: "rgba(0,0,0,0)", color: line, activecolor: ink }, legend: { font: { size: 10 }, x: 1.06 }, xaxis: { ...axis, title: { text: x }, ...more.xaxis }, yaxis: { ...axis, title: { text: y }, ...more.yaxis }, shapes: more.shapes || [] };
+      hovermode: "closest", showlegend: innerWidth > 640, modebar: { orientation: "v", bgcolor: "rgba(0,0,0,0)", color: line, activecolor: ink }, legend: { font: { size: 10 }, x: 1.06 }, xaxis: { ...axis, title: { text: x }, ...more.xaxis }, yaxis: { ...axis, title: { text: y }, ...more.yaxis }, shapes: more.shapes || [] };
   };
   const config = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["lasso2d", "select2d"] };
   const stroke = (method) => {
@@ -75,10 +75,10 @@
 
   const drawErrors = (scenario, lines) => {
     const traces = lines.map((line) => trace(line, { x: line.dt, y: line[state.quantity].map((v) => (v > 0 ? v : null)), mode: "lines+markers", marker: { size: 6 },
-      hovertemplate: `%{fullData.name}<br>dt = %{x} s<br>%{y:.3g} ${unit[state.quantity]}<br>order ${line.order}<extra></extra>` }));
+      hovertemplate: `%{fullData.name}<br>dt = %{x} s<br>%{y:.3g} ${unit[state.quantity]}<br>order ${line.orders[state.quantity]}<extra></extra>` }));
     const { ink } = colours();
     const shapes = [{ type: "line", x0: Number(state.step), x1: Number(state.step), y0: 0, y1: 1, yref: "paper", line: { color: ink, width: 1, dash: "dot" } }];
-    Plotly.react("error-plot", traces, layout("step dt (s)", `largest error of ${state.quantity} (${unit[state.quantity]})`, { xaxis: logarithmic, yaxis: logarithmic, shapes }), config);
+    Plotly.react("error-plot", traces, layout("step dt (s)", `largest error of ${state.quantity} (${unit[state.quantity]})`, { xaxis: { ...logarithmic, dtick: 1 }, yaxis: logarithmic, shapes }), config);
   };
   const drawEnergy = (scenario, lines) => {
     const traces = lines.filter((line) => line.over_time).map((line) => trace(line, { x: floats(line.over_time.t), y: floats(line.over_time.error).map((v) => (Math.abs(v) > 0 && Math.abs(v) < 1e6 ? Math.abs(v) : null)), mode: "lines",
@@ -126,7 +126,7 @@
     const table = $("values");
     table.replaceChildren();
     const head = table.createTHead().insertRow();
-    for (const text of ["method", "state", "order", "position (m)", "velocity (m/s)", "energy"]) head.append(element("th", text, { scope: "col" }));
+    for (const text of ["method", "state", `order of ${state.quantity}`, "position (m)", "velocity (m/s)", "energy"]) head.append(element("th", text, { scope: "col" }));
     const body = table.createTBody();
     for (const line of lines) {
       const i = line.dt.findIndex((dt) => dt === Number(state.step));
@@ -134,7 +134,7 @@
       const row = body.insertRow();
       row.append(element("th", methods.get(line.method).title, { scope: "row" }));
       const left = line.diverged[i] === null ? "" : `, diverged at ${shown(line.diverged[i])} s`;
-      for (const text of [line.precision, line.order, shown(line.position[i]), shown(line.velocity[i]), shown(line.energy[i]) + left]) row.append(element("td", text));
+      for (const text of [line.precision, line.orders[state.quantity], shown(line.position[i]), shown(line.velocity[i]), shown(line.energy[i]) + left]) row.append(element("td", text));
     }
   };
 
@@ -177,7 +177,7 @@
     const box = element("input", "", { type: "checkbox", value: m.name });
     box.addEventListener("change", () => toggle(m.name));
     const swatch = element("span", "", { class: "swatch", "aria-hidden": "true" });
-    swatch.style.borderTopColor = m.colour;
+    swatch.style.borderTopColor = m.colour === "#000000" ? "currentColor" : m.colour;
     swatch.style.borderTopStyle = m.dash === "solid" ? "solid" : m.dash === "dash" ? "dashed" : "dotted";
     label.append(box, swatch, m.title);
     return label;

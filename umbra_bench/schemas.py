@@ -1,0 +1,80 @@
+"""The columns of the tables of a study: what those who write and those who read agree on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import polars as pl
+
+QUANTITIES = {
+    "position": "position_error_max",
+    "velocity": "velocity_error_max",
+    "energy": "energy_error_max",
+}
+"""The quantities whose order is observed, and the column that holds their error."""
+
+STUDY_SCHEMA: dict[str, Any] = {
+    "scenario": pl.String,
+    "method": pl.String,
+    "precision": pl.String,
+    "dt": pl.Float64,
+    "steps": pl.Int64,
+    "position_error_max": pl.Float64,
+    "velocity_error_max": pl.Float64,
+    "position_error_final": pl.Float64,
+    "energy_error_max": pl.Float64,
+    "energy_drift_rate": pl.Float64,
+    "angular_momentum_error_max": pl.Float64,
+    "reference_error": pl.Float64,
+    "diverged_at": pl.Float64,
+    "wall_time": pl.Float64,
+}
+
+ORDERS_SCHEMA: dict[str, Any] = {
+    "scenario": pl.String,
+    "method": pl.String,
+    "precision": pl.String,
+    "quantity": pl.String,
+    "order": pl.Float64,
+    "standard_error": pl.Float64,
+    "points": pl.Int64,
+}
+
+REFERENCES_SCHEMA: dict[str, Any] = {
+    "scenario": pl.String,
+    "position_bound": pl.Float64,
+    "velocity_bound": pl.Float64,
+    "energy_bound": pl.Float64,
+    "independent": pl.String,
+    "independent_difference": pl.Float64,
+    "tolerance_difference": pl.Float64,
+    "energy_drift": pl.Float64,
+    "angular_momentum_drift": pl.Float64,
+    "length_scale": pl.Float64,
+    "speed_scale": pl.Float64,
+    "energy_scale": pl.Float64,
+    "angular_momentum_scale": pl.Float64,
+}
+
+SKIPS_SCHEMA: dict[str, Any] = {"scenario": pl.String, "method": pl.String, "reason": pl.String}
+
+MOTION_SCHEMA: dict[str, Any] = {
+    "scenario": pl.String,
+    "method": pl.String,
+    "precision": pl.String,
+    "dt": pl.Float64,
+    "t": pl.Float64,
+    "body": pl.String,
+    **dict.fromkeys(("x", "y", "angle", "vx", "vy", "omega"), pl.Float64),
+}
+
+ENERGY_SCHEMA: dict[str, Any] = {
+    "scenario": pl.String,
+    "method": pl.String,
+    "precision": pl.String,
+    "dt": pl.Float64,
+    "t": pl.Float64,
+    "energy_error": pl.Float64,
+    "lowest": pl.Float64,
+    "highest": pl.Float64,
+}
