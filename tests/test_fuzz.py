@@ -11,10 +11,10 @@ import polars as pl
 import pytest
 from test_results import small_study, tiny_study
 
-from umbra_bench.engine_table import ENGINES_SCHEMA
 from umbra_bench.errors import ScenarioError, UmbraBenchError
 from umbra_bench.results import load_json, load_table, save_study, save_table
 from umbra_bench.scenario import MAXIMUM_BYTES, load_scenario
+from umbra_bench.schemas import ENGINES_SCHEMA
 from umbra_bench.system import build_system
 
 HEAD = """name = "odd"

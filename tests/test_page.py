@@ -13,7 +13,7 @@ import pytest
 
 from umbra_bench.claims.record import CURVES_SCHEMA, FORMAT, Found, save_claims
 from umbra_bench.report import write_report
-from umbra_bench.results import save_study
+from umbra_bench.results import environment, save_study
 from umbra_bench.scenario import load_scenario
 from umbra_bench.study import run_study
 
@@ -37,6 +37,7 @@ STATEMENTS = [
         "statement": MARKUP,
         "why": MARKUP,
         "verdict": "fails",
+        "examines": True,
         "criteria": [],
     }
 ]
@@ -56,7 +57,10 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
         {"proof": "stability", "series": "umbra, damped", "x": x, "measured": 1.0, "predicted": 1.0}
         for x in (0.5, 1.0)
     ]
-    document = {"format": FORMAT, "subject": "umbra", "statements": STATEMENTS, "proofs": {}}
+    document = {
+        **{"format": FORMAT, "subject": "umbra", "statements": STATEMENTS, "proofs": {}},
+        "environment": environment([]),
+    }
     save_claims(Found(document, pl.DataFrame(curves, CURVES_SCHEMA)), folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("umbra_bench.report.FIGURES", {})

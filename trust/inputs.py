@@ -29,13 +29,13 @@ import polars as pl
 from umbra_bench import findings, gate
 from umbra_bench.claims.record import load_claims
 from umbra_bench.compiled import COMPILED_METHODS
-from umbra_bench.engine_table import ENGINES_SCHEMA
 from umbra_bench.errors import UmbraBenchError, UnsupportedScenario
 from umbra_bench.html_report import explorer_data
 from umbra_bench.overview import overview
 from umbra_bench.report import load_scenario_tables, render_page
 from umbra_bench.results import load_environment, load_table
 from umbra_bench.scenario import MAXIMUM_BYTES, Scenario, load_scenario
+from umbra_bench.schemas import ENGINES_SCHEMA
 from umbra_bench.simulation import simulate
 from umbra_bench.system import build_system, initial_state
 

@@ -191,9 +191,9 @@ def make_study(folder: Path) -> None:
     """A small good study, with a table of engines."""
     import polars as pl
 
-    from umbra_bench.engine_table import ENGINES_SCHEMA
     from umbra_bench.results import save_study, save_table
     from umbra_bench.scenario import load_scenario
+    from umbra_bench.schemas import ENGINES_SCHEMA
     from umbra_bench.study import run_study
 
     scenarios = [

@@ -19,6 +19,7 @@ from umbra_bench.methods import find_method
 from umbra_bench.parallel import map_in_processes
 from umbra_bench.reference import certified_reference
 from umbra_bench.scenario import Scenario, load_scenario
+from umbra_bench.schemas import ENGINES_SCHEMA
 from umbra_bench.simulation import simulate
 from umbra_bench.study import measure, orders_of, run_on_grid
 from umbra_bench.wording import number
@@ -89,18 +90,6 @@ def print_examination(examined: Examination) -> None:
         f"in units of {found.precision}'s round-off as the motion magnifies it, largest over "
         f"{found.runs} runs of {STEPS} steps; up to {MATCH:g} is a match"
     )
-
-
-ENGINES_SCHEMA: dict[str, Any] = {
-    "method": pl.String,
-    "version": pl.String,
-    "precision": pl.String,
-    "integrator": pl.String,
-    "velocity": pl.String,
-    "position_order": pl.Float64,
-    "energy_error_100": pl.Float64,
-    "energy_error_60": pl.Float64,
-}
 
 
 def examine_engines(

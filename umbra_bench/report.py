@@ -14,7 +14,6 @@ import polars as pl
 from umbra_bench import findings, plots
 from umbra_bench.claims.record import CURVES_SCHEMA, load_claims
 from umbra_bench.comparison import Difference, beside, differences
-from umbra_bench.engine_table import ENGINES_SCHEMA
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.html_report import render_html
 from umbra_bench.parallel import map_in_processes
@@ -26,6 +25,7 @@ from umbra_bench.results import (
     load_table,
     replacing,
 )
+from umbra_bench.schemas import ENGINES_SCHEMA
 from umbra_bench.wording import render
 
 if TYPE_CHECKING:

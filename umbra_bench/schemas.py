@@ -78,3 +78,14 @@ ENERGY_SCHEMA: dict[str, Any] = {
     "lowest": pl.Float64,
     "highest": pl.Float64,
 }
+
+ENGINES_SCHEMA: dict[str, Any] = {
+    "method": pl.String,
+    "version": pl.String,
+    "precision": pl.String,
+    "integrator": pl.String,
+    "velocity": pl.String,
+    "position_order": pl.Float64,
+    "energy_error_100": pl.Float64,
+    "energy_error_60": pl.Float64,
+}

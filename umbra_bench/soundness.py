@@ -41,7 +41,7 @@ _KEYS: dict[str, tuple[str, ...]] = {
 }
 """What tells the rows of a table apart: no two are alike in these columns."""
 
-_MAY_BE_EMPTY = ("diverged_at", "energy_drift", "angular_momentum_drift")
+_MAY_BE_EMPTY = ("diverged_at", "energy_drift", "angular_momentum_drift", "predicted")
 
 _POSITIVE = ("dt", "position_bound", "velocity_bound", "energy_bound")
 _SCALES = ("length_scale", "speed_scale", "energy_scale", "angular_momentum_scale")
