@@ -58,7 +58,10 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for x in (0.5, 1.0)
     ]
     document = {
-        **{"format": FORMAT, "subject": "umbra", "statements": STATEMENTS, "proofs": {}},
+        "format": FORMAT,
+        "subject": "umbra",
+        "statements": STATEMENTS,
+        "proofs": {},
         "environment": environment([]),
     }
     save_claims(Found(document, pl.DataFrame(curves, CURVES_SCHEMA)), folder)
