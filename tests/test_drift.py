@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -131,10 +132,36 @@ def test_more_steps_go_on_from_the_end_as_if_there_had_been_none(
     assert same_tables(tmp_path / "parts", tmp_path / "whole")
 
 
+@pytest.mark.parametrize("completed", [True, False], ids=["after", "during"])
+@pytest.mark.parametrize("advance", [0, 1, 7, 40, 41])
+def test_an_interrupt_at_any_moment_loses_and_doubles_nothing(
+    tmp_path: Path, advance: int, completed: bool
+) -> None:
+    taken, advances = drift._LongRun._advance, iter(range(1000))
+
+    def interrupted(run: drift._LongRun, *args: Any) -> None:
+        stop = next(advances) == advance
+        if stop and not completed:
+            run.run.advance(args[0], 1)  # the loop has run, and nobody has heard of it
+            raise KeyboardInterrupt
+        taken(run, *args)
+        if stop:
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(drift._LongRun, "_advance", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run_drift(SPRING, ["umbra"], ["float32"], 20_000, None, tmp_path / "parts")
+    for name in ("parts", "whole"):
+        run_drift(SPRING, ["umbra"], ["float32"], 20_000, None, tmp_path / name)
+    assert same_tables(tmp_path / "parts", tmp_path / "whole")
+
+
 def command(results: Path, steps: str) -> list[str]:
     folders = ["--results", str(results), "--output", str(results / "reports")]
     line = ["drift", "spring", "--method", "umbra", "--precision", "float64", "--steps", steps]
-    return [sys.executable, "-m", "umbra_bench.cli", *line, *folders]
+    often = "from umbra_bench import cli, drift; drift.KEEP_SECONDS = 1.0; cli.main()"
+    return [sys.executable, "-c", often, *line, *folders]
 
 
 def wait_for_another(kept: Path, seconds: float = 120.0) -> None:
@@ -154,7 +181,7 @@ def test_a_run_that_was_stopped_goes_on_bit_for_bit(tmp_path: Path, sign: signal
     if sign == signal.SIGKILL:
         wait_for_another(kept)
     else:
-        time.sleep(2.0)
+        time.sleep(0.5)
     process.send_signal(sign)
     _, errors = process.communicate(timeout=60)
     if sign == signal.SIGINT:

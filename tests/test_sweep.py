@@ -36,7 +36,7 @@ values = [0.005, 0.05, 0.2, 0.4]
 LONG = """
 scenario = "spring_chain"
 methods = ["umbra"]
-steps = 20000
+steps = 5000
 draws = 240
 seed = 3
 [[vary]]
@@ -46,6 +46,15 @@ random = { low = 1.0, high = 100.0, distribution = "log-uniform" }
 key = "bodies[0].velocity[1]"
 random = { low = -1.0, high = 1.0 }
 """
+
+
+SMALL_TASKS = "from umbra_bench.sweep import plan; plan.TASK_STEPS = 5 * 10**6; "
+"""So that a sweep of seconds has tasks enough for a worker to die between them."""
+
+
+@pytest.fixture(autouse=True)
+def _small_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("umbra_bench.sweep.plan.TASK_STEPS", 5 * 10**6)
 
 
 def planned(folder: Path, text: str, name: str = "sweep") -> Plan:
@@ -156,7 +165,8 @@ def test_a_thousand_million_runs_are_planned_without_a_list_of_them(tmp_path: Pa
 
 def sweep_command(plan: Plan, results: Path, *more: str) -> list[str]:
     folders = ["--results", str(results), "--output", str(results / "figures")]
-    return [sys.executable, "-m", "umbra_bench.cli", "sweep", plan.path, *folders, *more]
+    run = SMALL_TASKS + "from umbra_bench.cli import main; main()"
+    return [sys.executable, "-c", run, "sweep", plan.path, *folders, *more]
 
 
 def parts_in(results: Path) -> list[Path]:

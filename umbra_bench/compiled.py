@@ -46,47 +46,29 @@ def _textbook(integrator: Integrator) -> CompiledMethod:
     return CompiledMethod(lambda system, state: state, damped_step)
 
 
-class BetweenFrames(NamedTuple):
-    """What UMBRA carries from frame to frame, shape (3, N) each: its accumulators are empty then."""
-
-    position: Array
-    velocity: Array
-    acceleration: Array
-
-    @classmethod
-    def of(cls, state: UmbraState) -> BetweenFrames:
-        return cls(state.position, state.velocity, state.acceleration)
-
-    @property
-    def umbra(self) -> UmbraState:
-        """The state as UMBRA keeps it, nothing accumulated."""
-        return UmbraState.at(self.position, self.velocity)._replace(acceleration=self.acceleration)
+def _umbra_start(system: System, state: State) -> UmbraState:
+    return UmbraState.at(state.position, state.velocity)
 
 
-def _umbra_start(system: System, state: State) -> BetweenFrames:
-    return BetweenFrames.of(UmbraState.at(state.position, state.velocity))
-
-
-def _umbra_step(system: System, state: BetweenFrames, dt: Array) -> BetweenFrames:
+def _umbra_step(system: System, state: UmbraState, dt: Array) -> UmbraState:
     """What a game does: apply the forces of the state that it sees, then step."""
-    return BetweenFrames.of(step(system.bodies, _with_forces(system, state), dt))
+    return step(system.bodies, _with_forces(system, state), dt)
 
 
-def _uncorrected_step(system: System, state: BetweenFrames, dt: Array) -> BetweenFrames:
-    return BetweenFrames.of(uncorrected_step(system.bodies, _with_forces(system, state), dt))
+def _uncorrected_step(system: System, state: UmbraState, dt: Array) -> UmbraState:
+    return uncorrected_step(system.bodies, _with_forces(system, state), dt)
 
 
-def _with_forces(system: System, state: BetweenFrames) -> UmbraState:
-    return state.umbra._replace(force=system.force(state.position, state.velocity))
+def _with_forces(system: System, state: UmbraState) -> UmbraState:
+    return state._replace(force=state.force + system.force(state.position, state.velocity))
 
 
-def _repaired_start(system: System, state: State) -> BetweenFrames:
-    start = UmbraState.at(state.position, state.velocity)
-    return BetweenFrames.of(primed(system.bodies, start, system.force))
+def _repaired_start(system: System, state: State) -> UmbraState:
+    return primed(system.bodies, _umbra_start(system, state), system.force)
 
 
-def _repaired_step(system: System, state: BetweenFrames, dt: Array) -> BetweenFrames:
-    return BetweenFrames.of(repaired_step(system.bodies, state.umbra, dt, system.force))
+def _repaired_step(system: System, state: UmbraState, dt: Array) -> UmbraState:
+    return repaired_step(system.bodies, state, dt, system.force)
 
 
 COMPILED_METHODS: dict[str, CompiledMethod] = {

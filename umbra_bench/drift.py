@@ -13,10 +13,10 @@ import math
 import time
 import zipfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -29,6 +29,7 @@ from umbra_bench.metrics import DIVERGENCE
 from umbra_bench.reference import Reference, certified_reference
 from umbra_bench.results import load_table, replacing, together, write_table
 from umbra_bench.scenario import Scenario, scenario_hash
+from umbra_bench.schemas import DRIFT_SCHEMA, DRIFT_SERIES_SCHEMA
 from umbra_bench.simulation import open_run
 from umbra_bench.system import build_system
 
@@ -36,34 +37,6 @@ PER_DECADE = 12
 KEEP_SECONDS = 10.0
 SLICE_SECONDS = 0.5
 """The loop returns so often, to say how far it is and to be interrupted."""
-
-SERIES_SCHEMA: dict[str, Any] = {
-    "scenario": pl.String,
-    "method": pl.String,
-    "precision": pl.String,
-    "dt": pl.Float64,
-    "step": pl.Int64,
-    "t": pl.Float64,
-    "energy_error": pl.Float64,
-    "lowest": pl.Float64,
-    "highest": pl.Float64,
-}
-
-LAW_SCHEMA: dict[str, Any] = {
-    "scenario": pl.String,
-    "method": pl.String,
-    "precision": pl.String,
-    "dt": pl.Float64,
-    "steps": pl.Int64,
-    "energy_error_max": pl.Float64,
-    "law": pl.String,
-    "rate": pl.Float64,
-    "exponent": pl.Float64,
-    "standard_error": pl.Float64,
-    "evidence": pl.Float64,
-    "runner_up": pl.String,
-    "diverged_at": pl.Float64,
-}
 
 _LINE = ["scenario", "method", "precision", "dt"]
 
@@ -93,7 +66,7 @@ def run_drift(
         listener: told what runs, and how many steps of all are done.
 
     Returns:
-        The rows of `drift` (`LAW_SCHEMA`) of these runs.
+        The rows of `drift` (`DRIFT_SCHEMA`) of these runs.
 
     Raises:
         UmbraBenchError: a method that is none, a scenario without a conserved energy, a kept state
@@ -136,16 +109,21 @@ def sample_steps(steps: int) -> list[int]:
     return [step for step in grid if step <= steps]
 
 
-@dataclass
-class _Interval:
-    """The extremes of the energy since the last sample, J."""
+class _Standing(NamedTuple):
+    """Where a run stands: one value, so that an interrupt finds the old one or the new one.
 
+    Attributes:
+        leaves: what the compiled loop needs to go on.
+        steps: how many were taken.
+        low, high: the extremes of the energy since the last sample, J.
+        seen: the samples so far, a row each.
+    """
+
+    leaves: list[np.ndarray]
+    steps: int = 0
     low: float = math.inf
     high: float = -math.inf
-
-    def see(self, low: float, high: float) -> None:
-        # NaN is a result: it stays, where min and max of Python would drop it.
-        self.low, self.high = float(np.minimum(self.low, low)), float(np.maximum(self.high, high))
+    seen: tuple[tuple[float, float, float, float], ...] = ()
 
 
 @dataclass
@@ -156,8 +134,6 @@ class _LongRun:
     precision: str
     dt: float
     folder: Path
-    seen: list[tuple[float, float, float, float]] = field(default_factory=list)
-    interval: _Interval = field(default_factory=_Interval)
 
     def __post_init__(self) -> None:
         scale = self.reference.scales.energy
@@ -165,7 +141,7 @@ class _LongRun:
         run = open_run(self.scenario, self.method, self.dt, self.precision, limit)
         assert isinstance(run, CompiledRun)
         self.run = run
-        self.steps = 0
+        self.standing = _Standing(run.kept())
         # Energies are compared in one precision each: the samples in float64, what the loop streams in
         # the precision of the run. Both start from the state that this precision holds.
         self.exact = build_system(self.scenario)
@@ -202,8 +178,10 @@ class _LongRun:
         try:
             with np.load(self.place, allow_pickle=False) as kept:
                 key = str(kept["key"])
-                leaves = [kept[f"leaf{i}"] for i in range(len(self.run.kept()))]
-                steps, seen, interval = int(kept["steps"]), kept["seen"], kept["interval"]
+                leaves = [kept[f"leaf{i}"] for i in range(len(self.standing.leaves))]
+                seen = tuple(tuple(row) for row in kept["seen"].tolist())
+                low, high = kept["interval"].tolist()
+                standing = _Standing(leaves, int(kept["steps"]), low, high, seen)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise UmbraBenchError(
                 f"{self.place}: cannot be read ({type(error).__name__}); --restart begins anew"
@@ -214,75 +192,73 @@ class _LongRun:
                 f"{self.scenario.name} is now; --restart begins anew"
             )
         self.run.resume(leaves)
-        self.steps, self.interval = steps, _Interval(*map(float, interval))
-        self.seen = [tuple(row) for row in seen.tolist()]
+        self.standing = standing
 
     def keep(self) -> None:
         """Write where the run stands, whole or not at all."""
-        leaves: dict[str, Any] = {f"leaf{i}": leaf for i, leaf in enumerate(self.run.kept())}
-        interval = np.array([self.interval.low, self.interval.high])
-        seen = np.array(self.seen).reshape(-1, 4)
+        leaves, steps, low, high, seen = self.standing
+        numbered: dict[str, Any] = {f"leaf{i}": leaf for i, leaf in enumerate(leaves)}
         with replacing(self.place) as temporary, temporary.open("wb") as file:
             np.savez(
                 file,
                 key=np.array(self.key),
-                steps=np.array(self.steps),
-                seen=seen,
-                interval=interval,
-                **leaves,
+                steps=np.array(steps),
+                seen=np.array(seen).reshape(-1, 4),
+                interval=np.array([low, high]),
+                **numbered,
             )
 
     def go_on(self, steps: int, told: Callable[[str, int], None]) -> None:
         """Take steps until `steps` are taken in all, or the energy has left its limit."""
         pace, kept_at = 1e5, time.monotonic()
         samples = set(sample_steps(steps))
-        grid = sorted(step for step in samples | {steps} if step > self.steps)
-        began, at_first = time.monotonic(), self.steps
+        grid = sorted(step for step in samples | {steps} if step > self.standing.steps)
+        began, at_first = time.monotonic(), self.standing.steps
         self.keep()  # a folder that cannot be written is told of before the first step
         try:
             for goal in grid:
-                while self.steps < goal and self.run.intact_steps >= self.steps:
-                    size = min(goal - self.steps, max(1, int(pace * SLICE_SECONDS)))
+                while (now := self.standing.steps) < goal and self.run.intact_steps >= now:
+                    size = min(goal - now, max(1, int(pace * SLICE_SECONDS)))
                     before = time.monotonic()
-                    self._advance(size)
-                    now = time.monotonic()
+                    self._advance(size, samples)
+                    after = time.monotonic()
                     if size > 1000:
-                        pace = max(1e3, size / max(now - before, 1e-6))
-                    if now - kept_at > KEEP_SECONDS:
+                        pace = max(1e3, size / max(after - before, 1e-6))
+                    if after - kept_at > KEEP_SECONDS:
                         self.keep()
-                        kept_at = now
-                        told(
-                            self._progress(steps, (self.steps - at_first) / (now - began)),
-                            self.steps,
-                        )
-                if self.steps == goal and goal in samples:
-                    self._sample()
+                        kept_at = after
+                        done = self.standing.steps
+                        told(self._progress(steps, (done - at_first) / (after - began)), done)
         finally:
             self.keep()
         told(f"{self.method} {self.precision}", steps)
 
     def _progress(self, steps: int, pace: float) -> str:
-        left = (steps - self.steps) / pace
+        done = self.standing.steps
+        left = (steps - done) / pace
         return (
-            f"{self.method} {self.precision}: {self.steps:.3g} of {steps:.3g} steps, "
+            f"{self.method} {self.precision}: {done:.3g} of {steps:.3g} steps, "
             f"{pace:.2g} a second, {left:.0f} s left"
         )
 
-    def _advance(self, size: int) -> None:
+    def _advance(self, size: int, samples: set[int]) -> None:
         recording = self.run.advance(size, 1)
-        self.steps += size
-        self.interval.see(float(recording.low.energy[0]), float(recording.high.energy[0]))
+        _, steps, low, high, seen = self.standing
+        # NaN is a result: it stays, where min and max of Python would drop it.
+        low = float(np.minimum(low, recording.low.energy[0]))
+        high = float(np.maximum(high, recording.high.energy[0]))
+        standing = _Standing(self.run.kept(), steps + size, low, high, seen)
+        if standing.steps in samples:
+            seen = (*seen, self._row(standing))
+            standing = _Standing(standing.leaves, standing.steps, seen=seen)
+        self.standing = standing
 
-    def _sample(self) -> None:
-        self.seen.append(self._row())
-        self.interval = _Interval()
-
-    def _row(self) -> tuple[float, float, float, float]:
+    def _row(self, standing: _Standing) -> tuple[float, float, float, float]:
         """Step, energy error at the step, lowest and highest error since the sample before."""
         scale = self.reference.scales.energy
         now = (self._energy_now() - self.start) / scale
-        low, high = ((e - self.own_start) / scale for e in (self.interval.low, self.interval.high))
-        return self.steps, now, float(np.minimum(low, now)), float(np.maximum(high, now))
+        low, high = ((e - self.own_start) / scale for e in (standing.low, standing.high))
+        return standing.steps, now, float(np.minimum(low, now)), float(np.maximum(high, now))
 
     def _energy_now(self) -> float:
         position, velocity = self.run.position_and_velocity
@@ -291,9 +267,9 @@ class _LongRun:
 
     def tables(self) -> tuple[pl.DataFrame, pl.DataFrame]:
         """The series of samples, and the law that they follow."""
-        rows = list(self.seen)
-        if not rows or rows[-1][0] != self.steps:
-            rows.append(self._row())
+        steps, rows = self.standing.steps, list(self.standing.seen)
+        if not rows or rows[-1][0] != steps:
+            rows.append(self._row(self.standing))
         step, error, low, high = np.array(rows).T
         series = pl.DataFrame(
             {
@@ -304,30 +280,30 @@ class _LongRun:
                 "lowest": low,
                 "highest": high,
             },
-            SERIES_SCHEMA,
+            DRIFT_SERIES_SCHEMA,
         )
         with np.errstate(invalid="ignore"):
             size = np.maximum(abs(low), abs(high))
         intact = step <= self.run.intact_steps
         law = fit_drift_law(step[intact] * self.dt, size[intact])
-        broken = self.run.intact_steps < self.steps
+        broken = self.run.intact_steps < steps
         row = {
             **self.line,
-            "steps": self.steps,
+            "steps": steps,
             "energy_error_max": float(size.max()),  # NaN stays NaN
             **law._asdict(),
             "diverged_at": self.run.intact_steps * self.dt if broken else None,
         }
-        return series, pl.DataFrame([row], LAW_SCHEMA)
+        return series, pl.DataFrame([row], DRIFT_SCHEMA)
 
 
 def _merge(series: pl.DataFrame, law: pl.DataFrame, results: Path) -> None:
     """Put rows in the place of those of the same scenario, method, precision and step."""
-    new = {"drift": law, "drift_series": series}
+    new = {"drift": (law, DRIFT_SCHEMA), "drift_series": (series, DRIFT_SERIES_SCHEMA)}
     tables = {}
-    for name, rows in new.items():
+    for name, (rows, schema) in new.items():
         if (results / f"{name}.parquet").is_file():
-            old = load_table(name, results).join(rows, on=_LINE, how="anti")
+            old = load_table(name, results, schema).join(rows, on=_LINE, how="anti")
             rows = pl.concat([old, rows])
         tables[name] = rows.sort(_LINE, maintain_order=True)
     with together(results, "drift") as fresh:
@@ -340,7 +316,7 @@ def print_drift(results: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    laws = load_table("drift", results)
+    laws = load_table("drift", results, DRIFT_SCHEMA)
     for scenario in laws["scenario"].unique(maintain_order=True):
         table = Table(title=f"{scenario}: energy error over long runs")
         table.add_column("method", no_wrap=True)

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from umbra_bench.plots import CLIP, PRECISIONS, log_scale, look_of, save, styled
 from umbra_bench.results import load_table
+from umbra_bench.schemas import DRIFT_SCHEMA, DRIFT_SERIES_SCHEMA
 from umbra_bench.wording import method_title
 
 
@@ -23,7 +24,8 @@ def draw_drift(results: Path, output: Path) -> list[Path]:
     """
     if not (results / "drift_series.parquet").is_file():
         return []
-    series, laws = load_table("drift_series", results), load_table("drift", results)
+    series = load_table("drift_series", results, DRIFT_SERIES_SCHEMA)
+    laws = load_table("drift", results, DRIFT_SCHEMA)
     written = []
     for scenario in series["scenario"].unique(maintain_order=True):
         figure = _draw(*(t.filter(pl.col("scenario") == scenario) for t in (series, laws)))

@@ -89,3 +89,31 @@ ENGINES_SCHEMA: dict[str, Any] = {
     "energy_error_100": pl.Float64,
     "energy_error_60": pl.Float64,
 }
+
+DRIFT_SERIES_SCHEMA: dict[str, Any] = {
+    "scenario": pl.String,
+    "method": pl.String,
+    "precision": pl.String,
+    "dt": pl.Float64,
+    "step": pl.Int64,
+    "t": pl.Float64,
+    "energy_error": pl.Float64,
+    "lowest": pl.Float64,
+    "highest": pl.Float64,
+}
+
+DRIFT_SCHEMA: dict[str, Any] = {
+    "scenario": pl.String,
+    "method": pl.String,
+    "precision": pl.String,
+    "dt": pl.Float64,
+    "steps": pl.Int64,
+    "energy_error_max": pl.Float64,
+    "law": pl.String,
+    "rate": pl.Float64,
+    "exponent": pl.Float64,
+    "standard_error": pl.Float64,
+    "evidence": pl.Float64,
+    "runner_up": pl.String,
+    "diverged_at": pl.Float64,
+}
