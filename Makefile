@@ -8,7 +8,7 @@ READY := $(VENV)/.ready
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup engines browser report study gate claims showcase test check trust bench clean
+.PHONY: help setup engines browser report study drift gate claims showcase test check trust bench clean
 
 help:  ## list the targets
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z]+:.*## / {printf "  %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -34,12 +34,16 @@ browser: $(READY)  ## install what drives the page in Chromium (as root: Chromiu
 		DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium; } >/dev/null
 
 study: $(READY)  ## sweep all methods over all scenarios into results/
-	$(BIN)/umbra-bench study
+	$(BIN)/umbra-bench study --if-changed
 
-report: study  ## run the study and write reports/index.md with its figures
+report: study  ## run the study if anything changed, and write reports/index.html with its figures
 	$(BIN)/umbra-bench report
 
-showcase: report  ## renew the figures that the README shows
+drift: $(READY)  ## follow the energy error over ten million steps
+	$(BIN)/umbra-bench drift spring --steps 1e7
+
+showcase: study  ## renew the figures that the README shows
+	$(BIN)/umbra-bench report --png
 	mkdir -p reports/showcase
 	cp reports/figures/spring-error.png reports/figures/spring-energy-time.png reports/showcase/
 
@@ -50,7 +54,7 @@ claims: $(READY)  ## measure the devlog's statements
 	$(BIN)/umbra-bench claims
 
 test: $(READY)  ## run the test suite
-	$(BIN)/python -m pytest -n $(JOBS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup
 
 check: $(READY)  ## formatting, lint and types
 	$(BIN)/ruff format --check .

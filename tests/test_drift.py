@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from umbra_bench import drift
+from umbra_bench import cli, drift
 from umbra_bench.drift import print_drift, run_drift, sample_steps
 from umbra_bench.drift_figures import draw_drift
 from umbra_bench.drift_law import fit_drift_law
@@ -242,11 +242,15 @@ def test_a_scenario_that_loses_energy_and_a_method_that_is_none(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("steps", ["0", "1.5", "nan", "many", "1e300", "-3"])
-def test_steps_are_a_whole_number(tmp_path: Path, steps: str) -> None:
-    found = subprocess.run(command(tmp_path, steps), capture_output=True, text=True)
-    assert found.returncode == 2
-    assert found.stderr.startswith("umbra-bench: Invalid value for '--steps'")
-    assert found.stderr.count("\n") == 1
+def test_steps_are_a_whole_number(
+    tmp_path: Path, steps: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["umbra-bench", *command(tmp_path, steps)[3:]])
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    told = capsys.readouterr().err
+    assert told.startswith("umbra-bench: Invalid value for '--steps'")
+    assert told.count("\n") == 1
 
 
 def test_the_figure_and_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

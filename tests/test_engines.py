@@ -13,11 +13,11 @@ from umbra_bench import methods
 from umbra_bench.engine_table import examine_engines
 from umbra_bench.errors import UmbraBenchError, UnsupportedScenario
 from umbra_bench.identify import identify
-from umbra_bench.methods import METHODS
+from umbra_bench.methods import METHODS, methods_of_study
 from umbra_bench.scenario import Body, Scenario, Spring, Sweep, load_scenario
 from umbra_bench.schemas import ENGINES_SCHEMA
 from umbra_bench.simulation import simulate
-from umbra_bench.study import methods_of_study, run_study
+from umbra_bench.study import run_study
 
 SPATIAL = ("bullet", "physx", "mujoco-euler", "mujoco-rk4")
 OPTIONAL = ("box2d", *SPATIAL)

@@ -112,22 +112,32 @@ def simulate(
 @click.option("--method", "methods", multiple=True, help="May be repeated. Default: all.")
 @click.option("--precision", "precisions", multiple=True, type=_PRECISION, help="Default: both.")
 @click.option("--quick", is_flag=True, help="Only the longest steps of each sweep.")
+@click.option(
+    "--if-changed", is_flag=True, help="Measure nothing if RESULTS are of this very study."
+)
 @click.option("--results", type=_FOLDER, default="results", show_default=True)
 def study(
     scenarios: tuple[str, ...],
     methods: tuple[str, ...],
     precisions: tuple[str, ...],
     quick: bool,
+    if_changed: bool,
     results: Path,
 ) -> None:
     """Sweep methods over scenarios and step sizes; write the tables into results/."""
-    _prepare()
-    from umbra_bench.engine_table import examine_engines
-    from umbra_bench.results import save_study, save_table
+    from umbra_bench.methods import methods_of_study
+    from umbra_bench.results import fingerprint, holds, save_study, save_table
     from umbra_bench.scenario import list_scenarios, load_scenario
-    from umbra_bench.study import methods_of_study, run_study
 
     loaded = [load_scenario(name) for name in scenarios or list_scenarios()]
+    asked = fingerprint(loaded, methods_of_study(methods), precisions or PRECISIONS, quick)
+    if if_changed and holds(results, asked):
+        click.echo(f"{results}/ holds this study: nothing that it depends on has changed")
+        return
+    _prepare()
+    from umbra_bench.engine_table import examine_engines
+    from umbra_bench.study import run_study
+
     with _progress("Study") as listener:
         found = run_study(
             loaded,
@@ -137,10 +147,10 @@ def study(
             processes=None,
             listener=listener,
         )
-    save_study(found, results)
     with _progress("Engines") as listener:
         engines = examine_engines(methods_of_study(methods), processes=None, listener=listener)
     save_table(engines, "engines", results)
+    save_study(found, results, asked)  # last: a command that was killed before has not done it all
     click.echo(f"{found.runs.height} runs in {results}/study.csv, orders in {results}/orders.csv")
 
 
@@ -149,7 +159,8 @@ def study(
 @click.option("--output", type=_FOLDER, default="reports", show_default=True)
 @click.option("--summary", is_flag=True, help="Print an overview and draw nothing.")
 @click.option("--against", type=_FOLDER, help="Another run's results: what changed since?")
-def report(results: Path, output: Path, summary: bool, against: Path | None) -> None:
+@click.option("--png", is_flag=True, help="Write every figure as PNG, too.")
+def report(results: Path, output: Path, summary: bool, against: Path | None, png: bool) -> None:
     """Draw the report from the tables in results/; simulates nothing."""
     from umbra_bench.report import load_scenario_tables, write_report
 
@@ -159,7 +170,7 @@ def report(results: Path, output: Path, summary: bool, against: Path | None) -> 
         print_overview(load_scenario_tables(results))
         return
     with _progress("Report") as listener:
-        page = write_report(results, output, listener, against)
+        page = write_report(results, output, listener, against, ("svg", "png") if png else ("svg",))
     click.echo(f"{page}")
 
 

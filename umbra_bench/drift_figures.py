@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -16,24 +16,51 @@ from umbra_bench.schemas import DRIFT_SCHEMA, DRIFT_SERIES_SCHEMA
 from umbra_bench.wording import method_title
 
 
+class LongRuns(NamedTuple):
+    """The long runs on one scenario: a row of `laws` each, and the samples of all."""
+
+    scenario: str
+    laws: pl.DataFrame
+    series: pl.DataFrame
+
+
+def load_long_runs(results: Path) -> list[LongRuns]:
+    """What `umbra-bench drift` left, a bundle a scenario; none where no long run was made.
+
+    Raises:
+        UmbraBenchError: as :func:`umbra_bench.results.load_table`.
+    """
+    if not (results / "drift_series.parquet").is_file():
+        return []
+    laws = load_table("drift", results, DRIFT_SCHEMA)
+    series = load_table("drift_series", results, DRIFT_SERIES_SCHEMA)
+    return [
+        LongRuns(name, *(table.filter(pl.col("scenario") == name) for table in (laws, series)))
+        for name in laws["scenario"].unique(maintain_order=True)
+    ]
+
+
+def largest(series: pl.DataFrame) -> np.ndarray:
+    """The largest size of the energy error since the sample before, in parts of the energy scale."""
+    low, high = (series[name].to_numpy() for name in ("lowest", "highest"))
+    return np.maximum(abs(low), abs(high))
+
+
 def draw_drift(results: Path, output: Path) -> list[Path]:
-    """Draw each scenario's long runs: does the energy error stay within bounds, and in which precision?
+    """Draw the long runs of each scenario.
 
     Returns:
         `figures/SCENARIO-drift` without its endings, svg and png; none where no long run was made.
     """
-    if not (results / "drift_series.parquet").is_file():
-        return []
-    series = load_table("drift_series", results, DRIFT_SERIES_SCHEMA)
-    laws = load_table("drift", results, DRIFT_SCHEMA)
-    written = []
-    for scenario in series["scenario"].unique(maintain_order=True):
-        figure = _draw(*(t.filter(pl.col("scenario") == scenario) for t in (series, laws)))
-        written.append(save(figure, output / "figures" / f"{scenario}-drift"))
-    return written
+    return [
+        save(draw_long_runs(runs), output / "figures" / f"{runs.scenario}-drift")
+        for runs in load_long_runs(results)
+    ]
 
 
-def _draw(series: pl.DataFrame, laws: pl.DataFrame) -> Figure:
+def draw_long_runs(runs: LongRuns) -> Figure:
+    """Does the energy error stay within bounds, and in which precision?"""
+    laws, series = runs.laws, runs.series
     with styled():
         figure = Figure(figsize=(7.2, 3.9))
         FigureCanvasAgg(figure)
@@ -50,10 +77,7 @@ def _draw(series: pl.DataFrame, laws: pl.DataFrame) -> Figure:
                     & (pl.col("precision") == precision)
                     & (pl.col("dt") == row["dt"])
                 )
-                with np.errstate(invalid="ignore"):
-                    size = np.maximum(
-                        abs(line["lowest"].to_numpy()), abs(line["highest"].to_numpy())
-                    )
+                size = largest(line)
                 size = np.where(np.isfinite(size) & (size < CLIP) & (size > 0.0), size, np.nan)
                 look = look_of(row["method"])
                 (drawn,) = axes.plot(line["step"], size, color=look.colour, ls=look.line, lw=1.2)

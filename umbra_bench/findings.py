@@ -93,6 +93,28 @@ def paragraph(tables: Sequence[ScenarioTables], claims: dict[str, Any] | None = 
     return "The results hold no runs of UMBRA's methods."
 
 
+def long_runs_caption(laws: Sequence[dict[str, Any]]) -> str:
+    """Which errors of energy stay within bounds over the long runs, and how the others grow."""
+    sentences = []
+    for precision in ("float64", "float32"):
+        rows = [row for row in laws if row["precision"] == precision]
+        for law in dict.fromkeys(row["law"] for row in rows):
+            alike = sorted(
+                (row for row in rows if row["law"] == law), key=lambda row: row["energy_error_max"]
+            )
+            told = ", ".join(
+                f"{method_title(row['method'])} ({number(row['energy_error_max'])}"
+                + ("" if row["diverged_at"] is None else f", diverged at {row['diverged_at']:g} s")
+                + ")"
+                for row in alike
+            )
+            sentences.append(f"{precision}, {_LAWS.get(law, law)}: {told}.")
+    return " ".join(sentences)
+
+
+_LAWS = {"none": "no law", "power": "another power of time"}
+
+
 def claims_sentence(claims: dict[str, Any] | None) -> Iterable[str]:
     """How the devlog's statements fared, and those that fail, in their own words."""
     if claims is None:

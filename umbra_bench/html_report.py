@@ -19,6 +19,7 @@ from markupsafe import Markup, escape
 from plotly.offline import get_plotlyjs
 
 from umbra_bench import findings
+from umbra_bench.drift_figures import LongRuns, largest
 from umbra_bench.overview import energy_fate, overview
 from umbra_bench.plots import ScenarioTables, look_of, methods_of
 from umbra_bench.wording import method_title, number
@@ -38,11 +39,13 @@ def render_html(
     environment: dict[str, Any],
     changed: Any = None,
     curves: pl.DataFrame | None = None,
+    long_runs: Sequence[LongRuns] = (),
 ) -> str:
     """The page. Everything that an author wrote is escaped.
 
     `changed`: :class:`umbra_bench.report.Changed`, where the run is compared with another.
     `curves`: of the claims' figures, where they were measured.
+    `long_runs`: what `umbra-bench drift` left.
     """
     page = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
@@ -58,6 +61,10 @@ def render_html(
         matrix=_matrix(tables),
         scenarios=[{"tables": t, "caption": findings.caption("error", t)} for t in tables],
         claims=claims,
+        long_runs=[
+            {"runs": runs, "caption": findings.long_runs_caption(runs.laws.to_dicts())}
+            for runs in long_runs
+        ],
         engines=engines,
         skips=skips,
         references=[t.reference for t in tables],
@@ -66,7 +73,13 @@ def render_html(
         style=Markup((_TEMPLATES / "style.css").read_text(encoding="utf-8")),  # noqa: S704
         script=Markup((_TEMPLATES / "explorer.js").read_text(encoding="utf-8")),  # noqa: S704
         plotly=Markup(get_plotlyjs()),  # noqa: S704 -- the library's own text
-        data=_script_json({**explorer_data(tables), "stability": _stability(curves)}),
+        data=_script_json(
+            {
+                **explorer_data(tables),
+                "stability": _stability(curves),
+                "long_runs": [_long_runs_data(runs) for runs in long_runs],
+            }
+        ),
     )
 
 
@@ -125,6 +138,24 @@ def explorer_data(tables: Sequence[ScenarioTables]) -> dict[str, Any]:
         ],
         "scenarios": [_scenario_data(t) for t in tables],
     }
+
+
+def _long_runs_data(runs: LongRuns) -> list[dict[str, Any]]:
+    lines = []
+    for row in runs.laws.to_dicts():
+        series = _of(runs.series, row["method"], row["precision"])
+        series = series.filter(pl.col("dt") == row["dt"])
+        lines.append(
+            {
+                **{key: row[key] for key in ("method", "precision", "dt", "law")},
+                "colour": look_of(row["method"]).colour,
+                "dash": "dot" if row["precision"] == "float32" else "solid",
+                "title": f"{method_title(row['method'])}, {row['precision']}",
+                "steps": series["step"].to_list(),
+                "error": _finite(pl.Series(largest(series))),
+            }
+        )
+    return lines
 
 
 def _stability(curves: pl.DataFrame | None) -> list[dict[str, Any]]:

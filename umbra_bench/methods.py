@@ -7,6 +7,7 @@ Only names and facts live here, so that listing the methods imports no numerical
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from typing import Literal
@@ -123,3 +124,22 @@ def find_method(name: str) -> Method:
         return Method(name, name, "engine", precision, studied=False)
     known = [*METHODS, *points, *(f"{prefix}..." for prefix in BROUGHT)]
     raise UmbraBenchError(f"--method {name!r} is not a method{hint(name, known)}") from None
+
+
+def methods_of_study(methods: Sequence[str] = ()) -> list[str]:
+    """The methods that a study runs: those named, or all that are studied unasked and installed.
+
+    Raises:
+        UmbraBenchError: a name that is none, is not installed or takes no steps.
+    """
+    names = list(dict.fromkeys(methods)) or [
+        name for name, method in METHODS.items() if method.studied and method.installed
+    ]
+    for name in names:
+        if not find_method(name).installed:
+            raise UmbraBenchError(f"--method {name!r}: {find_method(name).missing}")
+        if find_method(name).kind == "reference":
+            raise UmbraBenchError(
+                "--method 'reference': it is what the others are measured against; allowed: all others"
+            )
+    return names

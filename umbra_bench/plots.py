@@ -292,15 +292,16 @@ _PICTURES: dict[str, Picture] = {
 }
 
 
-def save(figure: Figure, path: Path) -> Path:
-    """Write a figure as SVG and as PNG; the same figure gives the same bytes.
+def save(figure: Figure, path: Path, formats: Sequence[str] = ("svg", "png")) -> Path:
+    """Write a figure in each of the formats; the same figure gives the same bytes.
 
     `path`: without an ending; it is returned.
 
     Raises:
         UmbraBenchError: the folder or a file cannot be written.
     """
-    for ending, metadata in (("svg", {"Date": None}), ("png", {})):
+    for ending in formats:
+        metadata = {"Date": None} if ending == "svg" else {}
         with styled(), replacing(path.with_name(f"{path.name}.{ending}")) as temporary:
             figure.savefig(temporary, format=ending, metadata=metadata)
     return path

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import quote
 
 import polars as pl
+from matplotlib.figure import Figure
 
 from umbra_bench import findings, plots
 from umbra_bench.claims.record import CURVES_SCHEMA, load_claims
 from umbra_bench.comparison import Difference, beside, differences
+from umbra_bench.drift_figures import LongRuns, draw_long_runs, load_long_runs
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.html_report import render_html
 from umbra_bench.parallel import map_in_processes
@@ -46,10 +48,12 @@ def write_report(
     output: Path,
     listener: Listener = lambda what, done, total: None,
     against: Path | None = None,
+    formats: Sequence[str] = ("svg",),
 ) -> Path:
     """Draw all figures and write both pages; return the path of `index.html`.
 
     `against`: the folder of another run's results, drawn beneath and compared.
+    `formats`: of the figures; the pages show the SVG.
 
     Raises:
         UmbraBenchError: results that are missing or cannot be read; a folder that cannot be written.
@@ -59,7 +63,8 @@ def write_report(
         tables = beside(tables, load_scenario_tables(against))
     changed = Changed(str(against), differences(tables)) if against is not None else None
     claims = _claims(results)
-    markdown = render_page(tables, results, changed)
+    long_runs = load_long_runs(results)
+    markdown = functools.partial(render_page, tables, results, changed)
     page = functools.partial(
         render_html,
         tables,
@@ -69,16 +74,18 @@ def write_report(
         environment=load_environment(results),
         changed=changed,
         curves=load_table("claims_curves", results, CURVES_SCHEMA) if claims else None,
+        long_runs=long_runs,
     )
-    folder = output / "figures"
-    figures = [functools.partial(_draw_orders, [_without_series(t) for t in tables], folder)]
-    figures += [functools.partial(_draw, t, name, folder) for t in tables for name in FIGURES]
-    pieces: list[Callable[[], Any]] = [page, *figures]
+    place = Place(output / "figures", tuple(formats))
+    figures = [functools.partial(_draw_orders, [_without_series(t) for t in tables], place)]
+    figures += [functools.partial(_draw_long_runs, runs, place) for runs in long_runs]
+    figures += [functools.partial(_draw, t, name, place) for t in tables for name in FIGURES]
+    pieces: list[Callable[[], Any]] = [page, markdown, *figures]
     work = map_in_processes(_call, pieces)
-    html = next(work)  # the longest piece: the figures are drawn beside it
+    html, text_page = next(work), next(work)  # the longest first: the figures are drawn beside them
     for done, path in enumerate(work, start=1):
         listener(path.name, done, len(figures))
-    for name, text in (("index.md", markdown), ("index.html", html)):
+    for name, text in (("index.md", text_page), ("index.html", html)):
         with replacing(output / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
     return output / "index.html"
@@ -175,6 +182,14 @@ def render_page(tables: list[ScenarioTables], results: Path, changed: Changed | 
         orders=findings.order_table(tables),
         orders_caption=findings.orders_caption(tables),
         drifts=findings.drift_table(tables),
+        long_runs=[
+            {
+                "runs": runs,
+                "caption": findings.long_runs_caption(runs.laws.to_dicts()),
+                "file": quote(f"figures/{runs.scenario}-drift"),
+            }
+            for runs in load_long_runs(results)
+        ],
         engines=_engines(results),
         changed=changed,
         references=[t.reference for t in tables],
@@ -199,12 +214,26 @@ def _call(piece: Callable[[], Any]) -> Any:
     return piece()
 
 
-def _draw(tables: ScenarioTables, name: str, folder: Path) -> Path:
-    return plots.save(FIGURES[name][1](tables), folder / f"{tables.scenario['name']}-{name}")
+class Place(NamedTuple):
+    """Where figures are written, and as what."""
+
+    folder: Path
+    formats: tuple[str, ...]
+
+    def save(self, figure: Figure, name: str) -> Path:
+        return plots.save(figure, self.folder / name, self.formats)
 
 
-def _draw_orders(tables: list[ScenarioTables], folder: Path) -> Path:
-    return plots.save(plots.draw_orders(tables), folder / "orders")
+def _draw(tables: ScenarioTables, name: str, place: Place) -> Path:
+    return place.save(FIGURES[name][1](tables), f"{tables.scenario['name']}-{name}")
+
+
+def _draw_orders(tables: list[ScenarioTables], place: Place) -> Path:
+    return place.save(plots.draw_orders(tables), "orders")
+
+
+def _draw_long_runs(runs: LongRuns, place: Place) -> Path:
+    return place.save(draw_long_runs(runs), f"{runs.scenario}-drift")
 
 
 def _without_series(tables: ScenarioTables) -> ScenarioTables:

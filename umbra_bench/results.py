@@ -17,7 +17,7 @@ import shutil
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,7 +45,8 @@ PATIENCE = 10.0
 """How long to wait for another command that is writing into the same folder, s."""
 
 _ENGINES = ("pymunk", "Box2D", "pybullet", "sapien", "mujoco")
-_PACKAGES = ("umbra-bench", "numpy", "scipy", "jax", "jaxlib", "diffrax", "polars", *_ENGINES)
+_SOLVER = ("jax", "jaxlib", "diffrax", "equinox")
+_PACKAGES = ("umbra-bench", "numpy", "scipy", *_SOLVER, "polars", *_ENGINES)
 
 
 @contextlib.contextmanager
@@ -196,8 +197,10 @@ def _read(path: Path) -> bytes:
     raise UmbraBenchError(f"{path}: {reason}")
 
 
-def save_study(study: Study, folder: Path = RESULTS) -> None:
+def save_study(study: Study, folder: Path = RESULTS, asked: str | None = None) -> None:
     """Write a study's tables and its environment into a folder: all of them, or none.
+
+    `asked`: its :func:`fingerprint`, by which :func:`holds` knows it again.
 
     Raises:
         UmbraBenchError: as :func:`together`.
@@ -211,7 +214,8 @@ def save_study(study: Study, folder: Path = RESULTS) -> None:
         for name, table in zip(SERIES, (study.motion, study.energy), strict=True):
             _write(fresh / f"{name}.parquet", table.write_parquet)
         save_json(described(study.scenarios), fresh / "scenarios.json")
-        save_json(environment(study.scenarios), fresh / "environment.json")
+        made = environment(study.scenarios) | ({"fingerprint": asked} if asked else {})
+        save_json(made, fresh / "environment.json")
 
 
 def save_table(table: pl.DataFrame, name: str, folder: Path = RESULTS) -> None:
@@ -322,6 +326,35 @@ def environment(scenarios: list[Scenario]) -> dict[str, Any]:
         "packages": {name: metadata.version(name) for name in _PACKAGES if _is_installed(name)},
         "scenarios": {scenario.name: scenario_hash(scenario) for scenario in scenarios},
     }
+
+
+def fingerprint(
+    scenarios: Sequence[Scenario], methods: Sequence[str], precisions: Sequence[str], quick: bool
+) -> str | None:
+    """What a study depends on, as a SHA-256: what was asked, this package's code, the environment.
+
+    None where an engine of the user's own takes part, whose code is not known.
+    """
+    if any(":" in method for method in methods):
+        return None
+    package = Path(__file__).parent
+    code = {
+        path.relative_to(package).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(package.rglob("*.py"))
+    }
+    asked = [list(methods), sorted(precisions), quick, code, environment(list(scenarios))]
+    return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()
+
+
+def holds(folder: Path, asked: str | None) -> bool:
+    """Whether a folder holds the study of this fingerprint, whole."""
+    try:
+        found = asked is not None and load_environment(folder).get("fingerprint") == asked
+        for name in (*TABLES, *SERIES, "engines") if found else ():
+            read_sealed(folder / f"{name}.parquet", required=True)
+    except UmbraBenchError:
+        return False
+    return found
 
 
 def _is_installed(distribution: str) -> bool:

@@ -144,6 +144,7 @@ class Environment(Machine):
     """What the numbers of a study depend on, as `environment.json` states it."""
 
     scenarios: dict[str, Annotated[str, Field(pattern="^[0-9a-f]{64}$")]]
+    fingerprint: str | None = None
 
 
 def check_document(value: Any, form: type[BaseModel], path: object) -> dict[str, Any]:

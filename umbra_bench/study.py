@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 
 from umbra_bench.errors import EngineFailed, UmbraBenchError, UnsupportedScenario
-from umbra_bench.methods import METHODS, PRECISIONS, find_method
+from umbra_bench.methods import METHODS, PRECISIONS, find_method, methods_of_study
 from umbra_bench.metrics import (
     DIVERGENCE,
     FLOOR_FACTOR,
@@ -147,25 +147,6 @@ def run_study(
     ]
     tables["skips"] = pl.concat([pl.DataFrame(absent, SKIPS_SCHEMA), tables["skips"]])
     return Study(scenarios, **tables)
-
-
-def methods_of_study(methods: Sequence[str] = ()) -> list[str]:
-    """The methods that a study runs: those named, or all that are studied unasked and installed.
-
-    Raises:
-        UmbraBenchError: a name that is none, is not installed or takes no steps.
-    """
-    names = list(dict.fromkeys(methods)) or [
-        name for name, method in METHODS.items() if method.studied and method.installed
-    ]
-    for name in names:
-        if not find_method(name).installed:
-            raise UmbraBenchError(f"--method {name!r}: {find_method(name).missing}")
-        if find_method(name).kind == "reference":
-            raise UmbraBenchError(
-                "--method 'reference': it is what the others are measured against; allowed: all others"
-            )
-    return names
 
 
 def _distinct(scenarios: Sequence[Scenario]) -> list[Scenario]:

@@ -224,11 +224,16 @@ def run_sweep(
 
 def write_part(plan: Plan, task: Task, folder: Path) -> int:
     """Run a task and write its part; return the number of rows."""
-    keep_compiled_code()
     rows = run_task(plan, task)
     with replacing(folder / f"{task.number:09}.parquet") as temporary:
         rows.write_parquet(temporary)
     return rows.height
+
+
+def _on_worker(plan: Plan, task: Task, folder: Path) -> int:
+    """What a worker of a cluster does, which owns its process."""
+    keep_compiled_code()
+    return write_part(plan, task, folder)
 
 
 def _claim(plan: Plan, table: Path, restart: bool) -> None:
@@ -272,7 +277,7 @@ def _on_dask(workers: int | None, scheduler: str | None) -> Where:
         try:
             shared = client.scatter(plan, broadcast=True)
             futures = {
-                client.submit(write_part, shared, task, folder, pure=False, retries=2): task
+                client.submit(_on_worker, shared, task, folder, pure=False, retries=2): task
                 for task in tasks
             }
             for future in distributed.as_completed(futures):

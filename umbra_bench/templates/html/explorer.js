@@ -146,6 +146,11 @@
     ]);
     Plotly.react("stability-plot", traces, layout("ω dt", "growth per step", { yaxis: { range: [0.4, 3] } }), config);
   };
+  const drawLongRuns = () => data.long_runs.forEach((lines, i) => {
+    const traces = lines.map((line) => ({ name: line.title, x: line.steps, y: line.error.map((v) => (v > 0 && v < 1e6 ? v : null)), mode: "lines", line: stroke(line),
+      hovertemplate: `%{fullData.name}<br>%{x:.3g} steps<br>largest error %{y:.3g}<br>${line.law}<extra></extra>` }));
+    Plotly.react(`drift-plot-${i}`, traces, layout("steps", "|energy error| / energy scale", { xaxis: { ...logarithmic, dtick: 1 }, yaxis: { ...logarithmic, dtick: 2 } }), config);
+  });
   const draw = () => {
     const scenario = scenarios.get(state.scenario);
     const lines = linesOf(scenario);
@@ -158,11 +163,13 @@
     $("step").value = state.step;
     for (const box of document.querySelectorAll("#methods input")) box.checked = !state.hidden.has(box.value);
     $("description").textContent = `${scenario.title}: ${scenario.description}`;
+    listValues(scenario, lines);
+    if (!window.Plotly) return;
     drawErrors(scenario, lines);
     drawEnergy(scenario, lines);
     drawMotion(scenario, lines);
     drawStability();
-    listValues(scenario, lines);
+    drawLongRuns();
   };
   const change = (changes) => { Object.assign(state, changes); writeAddress(); draw(); };
   const toggle = (name) => {
@@ -194,6 +201,7 @@
     $("play").textContent = on ? "Pause" : "Play";
     if (on) timer = setInterval(() => {
       const scenario = scenarios.get(state.scenario);
+      if (!window.Plotly) return;
       state.time = (state.time + 1) % floats(scenario.reference.t).length;
       drawMotion(scenario, linesOf(scenario));
     }, 60);
@@ -204,8 +212,16 @@
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
   readAddress();
   draw();
-  for (const id of ["error-plot", "energy-plot", "motion-plot"]) {
-    $(id).on("plotly_legendclick", (e) => { const name = e.data[e.curveNumber].meta; if (name) toggle(name); return false; });
-    $(id).on("plotly_legenddoubleclick", () => false);
-  }
+  // The library takes longer to start than all the rest: the page is there to read before it does.
+  const startLibrary = () => {
+    const library = document.createElement("script");
+    library.textContent = $("plotly").textContent;
+    document.head.append(library);
+    draw();
+    for (const id of ["error-plot", "energy-plot", "motion-plot"]) {
+      $(id).on("plotly_legendclick", (e) => { const name = e.data[e.curveNumber].meta; if (name) toggle(name); return false; });
+      $(id).on("plotly_legenddoubleclick", () => false);
+    }
+  };
+  requestAnimationFrame(() => setTimeout(startLibrary));
 })();
