@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -22,6 +22,14 @@ settings.load_profile("laws")
 def load() -> Callable[[str], Scenario]:
     """Load a scenario of the project by its name, from whatever folder the tests are run."""
     return lambda name: load_scenario(name, SCENARIOS)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_cache_of_the_user() -> Iterator[None]:
+    """A command that is run in this process neither reads nor writes the user's compiled code."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("umbra_bench.jax_settings.keep_compiled_code", lambda: None)
+        yield
 
 
 @pytest.fixture(scope="session")

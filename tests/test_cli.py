@@ -79,9 +79,8 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _no_cache_of_the_user(monkeypatch: pytest.MonkeyPatch, cache: Path) -> None:
-    """Neither this process nor those that it starts write compiled code into the user's cache."""
-    monkeypatch.setattr("umbra_bench.jax_settings.keep_compiled_code", lambda: None)
+def _cache_of_the_tests(monkeypatch: pytest.MonkeyPatch, cache: Path) -> None:
+    """The processes that a test starts write no compiled code into the user's cache."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
 
 

@@ -235,7 +235,7 @@ def test_the_command_draws_in_processes_of_its_own(
     assert [line.partition("]")[0] for line in stderr.splitlines()] == [
         f"[{n}/5" for n in (1, 2, 3, 4, 5)
     ]
-    assert len(list((tmp_path / "pages" / "figures").iterdir())) == 2 * len(FIGURES) + 2
+    assert len(list((tmp_path / "pages" / "figures").iterdir())) == len(FIGURES) + 1
 
 
 def test_a_report_never_simulates(
@@ -693,7 +693,7 @@ def test_the_pictures_of_a_scenario_of_any_name_are_found(
     save_study(renamed(name), tmp_path / "results")
     page = write_report(tmp_path / "results", tmp_path / "reports").with_suffix(".md")
     links = links_on(page.read_text(encoding="utf-8"))
-    assert len(set(links)) == 4, "of its motion, and of all orders"
+    assert len(set(links)) == 2, "of its motion, and of all orders"
     for link in links:
         assert (page.parent / unquote(link)).is_file(), link
 

@@ -9,6 +9,7 @@ import json
 import math
 import os
 import re
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -21,8 +22,17 @@ import umbra_bench
 from umbra_bench import cli, results
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.methods import METHODS
-from umbra_bench.results import load_table, replacing, save_json, save_study
+from umbra_bench.results import (
+    fingerprint,
+    holds,
+    load_table,
+    replacing,
+    save_json,
+    save_study,
+    save_table,
+)
 from umbra_bench.scenario import Scenario, parse_scenario, scenario_hash
+from umbra_bench.schemas import ENGINES_SCHEMA
 from umbra_bench.study import ENGINE_STEPS, Study, run_study
 
 STUDY_COLUMNS = (
@@ -314,7 +324,6 @@ def test_the_command_writes_the_tables_and_says_where(
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("umbra_bench.jax_settings.keep_compiled_code", lambda: None)
     monkeypatch.chdir(tmp_path)
     Path("soft.toml").write_text(SOFT, encoding="utf-8")
     words = [
@@ -506,3 +515,36 @@ def test_nothing_on_disk_tells_where_it_was_made(folder: Path) -> None:
             assert place.encode() not in content, f"{path.name} names {place}"
     text = (folder / "environment.json").read_text(encoding="utf-8")
     assert not re.search(r'"/[^"]*"', text)
+
+
+def test_a_study_is_known_again_by_all_that_it_depends_on(study: Study, tmp_path: Path) -> None:
+    soft = study.scenarios
+    asked = fingerprint(soft, ["umbra"], ["float64"], False)
+    save_table(pl.DataFrame(schema=ENGINES_SCHEMA), "engines", tmp_path)
+    save_study(study, tmp_path, asked)
+    assert holds(tmp_path, asked)
+    stiffer = [soft[0].model_copy(update={"duration": 2.0 * soft[0].duration}), *soft[1:]]
+    others = [
+        fingerprint(stiffer, ["umbra"], ["float64"], False),
+        fingerprint(soft, ["umbra", "rk4"], ["float64"], False),
+        fingerprint(soft, ["umbra"], ["float64", "float32"], False),
+        fingerprint(soft, ["umbra"], ["float64"], True),
+    ]
+    assert not any(holds(tmp_path, other) for other in others)
+    assert len({asked, *others}) == 5
+    assert not holds(tmp_path, fingerprint(soft, ["native:engine.so"], ["float64"], False))
+    (tmp_path / "energy.parquet").write_bytes(b"damaged")
+    assert not holds(tmp_path, asked)
+
+
+def test_changed_code_is_measured_anew(
+    study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = fingerprint(study.scenarios, ["umbra"], ["float64"], False)
+    package = tmp_path / "umbra_bench"
+    shutil.copytree(Path(results.__file__).parent, package)
+    monkeypatch.setattr(results, "__file__", str(package / "results.py"))
+    assert fingerprint(study.scenarios, ["umbra"], ["float64"], False) == before
+    with (package / "umbra" / "pipeline.py").open("a") as file:
+        file.write("# another line\n")
+    assert fingerprint(study.scenarios, ["umbra"], ["float64"], False) != before
