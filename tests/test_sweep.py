@@ -158,6 +158,17 @@ def test_a_thousand_million_runs_are_planned_without_a_list_of_them(tmp_path: Pa
     plan = planned(tmp_path, LONG.replace("draws = 240", "draws = 1000000000"))
     assert plan.points == 10**9
     assert len(plan.values(10**9 - 1)) == 2
+    assert len(plan.tasks) <= 20_000
+    assert plan.tasks[-1].last == 10**9
+
+
+def test_a_long_task_has_the_rows_of_short_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = planned(tmp_path, SPRING)
+    whole = rows_of(plan)
+    monkeypatch.setattr("umbra_bench.sweep.work.TASK_RUNS", 7)
+    assert rows_of(plan).equals(whole)
 
 
 # Where they are computed --------------------------------------------------------------------------

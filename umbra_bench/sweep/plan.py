@@ -107,7 +107,11 @@ TASK_STEPS = 2 * 10**7
 """Steps of bodies in a task: half a second, several hundred times what a scheduler needs for it."""
 
 TASK_RUNS = 4096
-"""The most runs in a task: each costs a tenth of a millisecond before its first step."""
+"""The most runs in such a task: each costs a tenth of a millisecond before its first step."""
+
+MOST_TASKS = 20_000
+"""A sweep of more work than this many tasks has longer ones: a scheduler answers a thousand workers that
+ask every half minute, not every half second, and a folder holds so many files gladly."""
 
 
 @dataclass(frozen=True)
@@ -190,6 +194,7 @@ class Plan:
         scenario = self.scenario(values)
         _, steps = self.step(values, scenario)
         size = max(1, min(self.points, TASK_RUNS, TASK_STEPS // (steps * len(scenario.bodies))))
+        size = max(size, math.ceil(self.runs / MOST_TASKS))
         parts = [
             (*line, first, min(first + size, self.points))
             for line in self.lines

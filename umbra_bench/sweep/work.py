@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from umbra_bench.scenario import Scenario
 from umbra_bench.simulation import open_run
 from umbra_bench.state import kinetic_energy
 from umbra_bench.sweep.batch import Problem, batch_size, energy_scale, run_batch
-from umbra_bench.sweep.plan import Plan, Task
+from umbra_bench.sweep.plan import TASK_RUNS, Plan, Task
 from umbra_bench.system import build_system, initial_state
 
 _MEASURED: dict[str, Any] = {
@@ -59,6 +60,10 @@ def schema(plan: Plan) -> dict[str, Any]:
 
 def run_task(plan: Plan, task: Task) -> pl.DataFrame:
     """The rows of a task, in the order of its runs."""
+    if task.last - task.first > TASK_RUNS:
+        firsts = range(task.first, task.last, TASK_RUNS)
+        slices = (replace(task, first=n, last=min(n + TASK_RUNS, task.last)) for n in firsts)
+        return pl.concat([run_task(plan, part) for part in slices])
     measure = _batched if task.method in COMPILED_METHODS else _one_by_one
     rows: dict[int, dict[str, Any]] = {}
     runs: list[tuple[int, Scenario, float, int]] = []
