@@ -86,6 +86,47 @@ def harness(bodies: int, precision: str) -> Contender:
     return Contender(lambda steps: run.advance(steps, 1), time.perf_counter() - began)
 
 
+def harness_blind(bodies: int, precision: str) -> Contender:
+    """The same loop with nothing streamed: what the metrics cost is the rest."""
+    import jax
+
+    from umbra_bench import compiled
+    from umbra_bench.jax_settings import float64_allowed
+    from umbra_bench.system import build_system, initial_state
+
+    scenario = orbits(bodies)
+    system, initial = build_system(scenario, precision), initial_state(scenario, precision)
+    method = compiled.COMPILED_METHODS["umbra"]
+    dt = np.dtype(precision).type(DT)
+
+    def loop(system: Any, state: Any, steps: Any) -> Any:
+        whole = (lambda state: state), (lambda state: state)
+        few = bodies <= compiled.SMALL
+        apart, together = compiled.by_component(state) if few else whole
+        a_turn = compiled.STEPS_A_TURN if bodies > compiled.MANY else 1
+        return compiled.take_steps(
+            lambda n, parts: apart(method.step(system, together(parts), dt)),
+            np.int64(0),
+            steps,
+            apart(state),
+            a_turn,
+        )
+
+    def one_function(system: Any, state: Any, steps: Any) -> Any:
+        return compiled.as_one_function(lambda state: loop(system, state, steps))(state)
+
+    started = jax.jit(one_function, compiler_options=compiled.options_for(bodies))
+
+    def run(steps: int) -> Any:
+        with float64_allowed():
+            found = started(system, method.start(system, initial), np.int64(steps))
+            return jax.block_until_ready(found)  # type: ignore[no-untyped-call]
+
+    began = _started()
+    run(1)
+    return Contender(run, time.perf_counter() - began)
+
+
 def rows(bodies: int, precision: str) -> list[np.ndarray]:
     """x, y, angle, their velocities and their stored accelerations."""
     phases = 2.0 * np.pi * np.arange(bodies) / bodies + 0.6435
@@ -240,6 +281,7 @@ CONTENDERS: dict[str, Callable[[int, str], Contender]] = {
     "C -O2": c_loop("-O2"),
     "C -O3 -march=native": c_loop("-O3", "-march=native"),
     "umbra-bench": harness,
+    "umbra-bench, no metrics": harness_blind,
     "Diffrax, constant step": diffrax_loop,
     "numba": numba_loop,
     "NumPy": numpy_loop,

@@ -16,7 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from umbra_bench.integrators import INTEGRATORS, Integrator
-from umbra_bench.jax_settings import float64_allowed
+from umbra_bench.jax_settings import (
+    FEWER_COPIES,
+    WIDE_VECTORS,
+    CompilerOption,
+    compiler_options,
+    float64_allowed,
+)
 from umbra_bench.state import State, angular_momentum
 from umbra_bench.system import System
 from umbra_bench.umbra.bodies import Array, UmbraState
@@ -24,9 +30,17 @@ from umbra_bench.umbra.pipeline import apply_damping, step
 from umbra_bench.umbra.repaired import primed, repaired_step
 from umbra_bench.umbra.uncorrected import uncorrected_step
 
-SMALL = 64
-"""Up to this number of bodies the inner loop is compiled as one function, without the runtime's
-overhead for each operation, which is ten times the arithmetic of a single body."""
+SMALL = 16
+"""Up to this number of bodies a state is carried row by row."""
+
+SERIAL = 10**5
+"""Up to this number of elements in the largest array of a step, the inner loop is compiled as one
+function, without the runtime's overhead for each operation, which is ten times the arithmetic of a single
+body. Beyond it the threads that the runtime has are worth more."""
+
+MANY = 64
+STEPS_A_TURN = 4
+"""So many steps of more than `MANY` bodies are a turn of the loop, at whose end the state is copied."""
 
 
 class CompiledMethod(NamedTuple):
@@ -94,12 +108,7 @@ class Observables(NamedTuple):
 def observe(system: System, position: Array, velocity: Array) -> Observables:
     """Measure one state, shape (3, N) each."""
     momenta = angular_momentum(system.bodies, position, velocity)
-    if position.shape[-1] <= SMALL:
-        return Observables(system.energy(position, velocity), momenta.sum())
-    # Thousands of bodies: one reduction over two rows in place of two over one each.
-    energies, *others = system.energies(position, velocity)
-    energy, momentum = jnp.stack([energies, momenta]).sum(1)
-    return Observables(sum((other.sum() for other in others), start=energy), momentum)
+    return Observables(system.energy(position, velocity), momenta.sum())
 
 
 class Progress(NamedTuple):
@@ -169,7 +178,19 @@ def streamed_step(
     return method.step(system, state, dt), streamed
 
 
-@functools.partial(jax.jit, static_argnames=("method", "capacity"))
+def options_for(elements: int) -> dict[str, CompilerOption]:
+    """What to ask of the compiler for a loop over rows of so many elements; each was measured to pay."""
+    if elements == 1:
+        return {}
+    return compiler_options(FEWER_COPIES if elements <= SMALL else FEWER_COPIES | WIDE_VECTORS)
+
+
+@functools.cache
+def _compiled_advance(bodies: int) -> Callable[..., tuple[Progress, Recording]]:
+    names = ("method", "capacity")
+    return jax.jit(_advance, static_argnames=names, compiler_options=options_for(bodies))
+
+
 def _advance(
     method: CompiledMethod,
     capacity: int,
@@ -180,8 +201,9 @@ def _advance(
     stride: Array,
     samples: Array,
 ) -> tuple[Progress, Recording]:
-    small = progress.state.position.shape[1] <= SMALL
-    carried = by_component if small else _whole
+    bodies = progress.state.position.shape[1]
+    carried = by_component if bodies <= SMALL else _whole
+    a_turn = STEPS_A_TURN if bodies > MANY else 1
 
     def to_next_sample(progress: Progress) -> tuple[Progress, Observables, Observables]:
         state, steps, broken = progress
@@ -196,12 +218,13 @@ def _advance(
             )
             return apart(state), streamed
 
-        parts, (broken, low, high) = jax.lax.fori_loop(
-            steps, steps + stride, one_step, (apart(state), Streamed(broken, low, high))
+        parts, (broken, low, high) = take_steps(
+            one_step, steps, stride, (apart(state), Streamed(broken, low, high)), a_turn
         )
         return Progress(together(parts), steps + stride, broken), low, high
 
-    advance = as_one_function(to_next_sample) if small else to_next_sample
+    serial = _largest(system, progress.state.position) <= SERIAL
+    advance = as_one_function(to_next_sample) if serial else to_next_sample
 
     def store(s: Array, carry: Any) -> Any:
         progress, recording = carry
@@ -214,6 +237,29 @@ def _advance(
     extremes = Observables(scalars, scalars)
     recording = Recording(states, states, extremes, extremes)
     return jax.lax.fori_loop(0, samples, store, (progress, recording))
+
+
+def take_steps(
+    one_step: Callable[[Array, Any], Any], first: Array, count: Array, carry: Any, a_turn: int
+) -> Any:
+    """Take steps `first` to `first + count`, exclusive, `a_turn` of them in a turn of the loop."""
+
+    def several(turn: Array, carry: Any) -> Any:
+        for i in range(a_turn):
+            carry = one_step(first + turn * a_turn + i, carry)
+        return carry
+
+    if a_turn > 1:
+        turns = count // a_turn
+        carry = jax.lax.fori_loop(0, turns, several, carry)
+        first, count = first + turns * a_turn, count - turns * a_turn
+    return jax.lax.fori_loop(first, first + count, one_step, carry)
+
+
+def _largest(system: System, position: Array) -> int:
+    """The number of elements of the largest array of a step: of pairs, under mutual gravity."""
+    potentials = [jax.eval_shape(law.potential, position) for law in system.laws]
+    return max(array.size for array in (position, *potentials))
 
 
 def by_component(like: Any) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
@@ -311,7 +357,7 @@ class CompiledRun:
         capacity = _capacity(room_for or samples, bodies)
         with float64_allowed():
             return jax.block_until_ready(  # type: ignore[no-untyped-call]
-                _advance(
+                _compiled_advance(bodies)(
                     self._method,
                     capacity,
                     self._system,

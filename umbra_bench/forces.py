@@ -399,7 +399,7 @@ class Drag:
 def build_laws(scenario: Scenario, bodies: Bodies) -> tuple[ForceLaw, ...]:
     """The force laws of a scenario, with parameters of the precision of `bodies`."""
     dtype = bodies.inverse_mass.dtype.type
-    builder = _Builder(scenario, bodies, dtype)
+    builder = _Builder(bodies, {body.name: i for i, body in enumerate(scenario.bodies)}, dtype)
     laws: list[ForceLaw] = []
     if any(scenario.gravity):
         gravity = np.array(scenario.gravity, dtype)
@@ -423,8 +423,8 @@ def build_laws(scenario: Scenario, bodies: Bodies) -> tuple[ForceLaw, ...]:
 class _Builder:
     """Turns the tables of one kind into one law, or none where there are none."""
 
-    scenario: Scenario
     bodies: Bodies
+    places: dict[str, int]
     dtype: Any
 
     def array(self, values: Iterable[Any]) -> np.ndarray:
@@ -435,10 +435,6 @@ class _Builder:
         """As `array`, or None where all values are zero: a term that no row has is not computed."""
         array = self.array(values)
         return array if array.any() else None
-
-    @functools.cached_property
-    def places(self) -> dict[str, int]:
-        return {body.name: place for place, body in enumerate(self.scenario.bodies)}
 
     def acting(self, names: Iterable[str]) -> Acting:
         return Acting(tuple(self.places[name] for name in names), len(self.places))

@@ -8,6 +8,7 @@ calls :func:`keep_compiled_code`.
 
 from __future__ import annotations
 
+import functools
 import os
 from contextlib import AbstractContextManager
 from typing import Any
@@ -19,6 +20,31 @@ import platformdirs
 def float64_allowed() -> AbstractContextManager[None]:
     """A context in which float64 arrays stay float64; float32 arrays stay float32."""
     return jax.enable_x64(True)
+
+
+CompilerOption = bool | int | str
+
+FEWER_COPIES: dict[str, CompilerOption] = {"xla_cpu_copy_insertion_use_region_analysis": True}
+"""Half of the copies that a loop makes of its state."""
+
+WIDE_VECTORS: dict[str, CompilerOption] = {
+    "xla_cpu_prefer_vector_width": 512,  # where the processor has them
+    "xla_cpu_experimental_ynn_fusion_type": "",  # its sums cannot stand within one function
+}
+
+
+def compiler_options(wishes: dict[str, CompilerOption]) -> dict[str, CompilerOption]:
+    """Those of our wishes that this version of XLA knows; without one the result is the same, slower."""
+    return {name: value for name, value in wishes.items() if _is_known(name, value)}
+
+
+@functools.cache
+def _is_known(name: str, value: CompilerOption) -> bool:
+    try:
+        jax.jit(lambda x: x, compiler_options={name: value}).lower(0.0).compile()
+    except jax.errors.JaxRuntimeError:
+        return False
+    return True
 
 
 def keep_compiled_code() -> None:

@@ -6,6 +6,7 @@ the allowed value. :func:`load_scenario` is the only door.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
 import re
@@ -264,11 +265,16 @@ class Scenario(_Table):
     @property
     def default_step(self) -> float:
         """The step of the sweep nearest (by ratio) to UMBRA's default of 0.01 s."""
-        return min(self.steps, key=lambda dt: abs(math.log(dt / DEFAULT_STEP)))
+        return _nearest_to_default(self.steps)
 
     def with_sweep(self, start: float, halvings: int) -> Self:
         """The same problem with another sweep of steps."""
         return self.model_copy(update={"dt": Sweep(start=start, halvings=halvings)})
+
+
+@functools.lru_cache(maxsize=64)
+def _nearest_to_default(steps: tuple[float, ...]) -> float:
+    return min(steps, key=lambda dt: abs(math.log(dt / DEFAULT_STEP)))
 
 
 def load_scenario(name_or_path: str | Path, folder: Path | None = None) -> Scenario:

@@ -26,9 +26,9 @@ def inertial_mass(bodies: Bodies) -> Array:
 
 def kinetic_energy(bodies: Bodies, velocity: Array) -> Array:
     """T = m v^2/2 + I omega^2/2 of each body, J, shape (N,)."""
-    mx, my, inertia = inertial_mass(bodies)
+    mass, _, inertia = inertial_mass(bodies)
     vx, vy, omega = velocity
-    return 0.5 * (mx * vx * vx + my * vy * vy + inertia * omega * omega)
+    return 0.5 * (mass * (vx * vx + vy * vy) + inertia * omega * omega)
 
 
 def linear_momentum(bodies: Bodies, velocity: Array) -> Array:
@@ -40,6 +40,7 @@ def linear_momentum(bodies: Bodies, velocity: Array) -> Array:
 
 def angular_momentum(bodies: Bodies, position: Array, velocity: Array) -> Array:
     """L = m (x vy - y vx) + I omega of each body about the origin, N m s, shape (N,)."""
-    mx, my, inertia = inertial_mass(bodies)
+    mass, _, inertia = inertial_mass(bodies)
+    x, y, _ = position
     vx, vy, omega = velocity
-    return position[0] * my * vy - position[1] * mx * vx + inertia * omega
+    return mass * (x * vy - y * vx) + inertia * omega

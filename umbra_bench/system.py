@@ -58,12 +58,8 @@ class System(NamedTuple):
 
     def energy(self, position: Array, velocity: Array) -> Array:
         """E = T + V, J."""
-        return _sum(self.energies(position, velocity))
-
-    def energies(self, position: Array, velocity: Array) -> list[Array]:
-        """The energy in parts, J: first one of each body, shape (N,), then what belongs to no body."""
         potentials = (law.potential(position) for law in self.laws)
-        return _alike([kinetic_energy(self.bodies, velocity), *potentials])
+        return _sum(_alike([kinetic_energy(self.bodies, velocity), *potentials]))
 
 
 def _alike(energies: Iterable[Array]) -> list[Array]:

@@ -7,7 +7,7 @@ is taken by B of them side by side, each with its own parameters, step size and 
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -23,6 +23,7 @@ from umbra_bench.compiled import (
     as_one_function,
     by_component,
     observe,
+    options_for,
     streamed_step,
 )
 from umbra_bench.jax_settings import float64_allowed
@@ -31,7 +32,7 @@ from umbra_bench.state import State, kinetic_energy
 from umbra_bench.system import System
 from umbra_bench.umbra.bodies import Array
 
-AT_ONCE = 512
+AT_ONCE = 128
 """So many bodies, of all runs of a batch together, are stepped side by side: their rows stay in the
 cache nearest to the processor, and the loop is one compiled function without calls between."""
 
@@ -90,12 +91,16 @@ def run_batch(method: str, problems: Sequence[Problem], steps: int) -> Outcome:
     batch = jax.tree.map(lambda *each: np.stack(each, axis=-1), *filled)
     with float64_allowed():
         outcome = jax.block_until_ready(  # type: ignore[no-untyped-call]
-            _run(COMPILED_METHODS[method], batch, np.int64(steps))
+            _compiled_run()(COMPILED_METHODS[method], batch, np.int64(steps))
         )
     return jax.tree.map(lambda values: np.asarray(values)[:count], outcome)
 
 
-@functools.partial(jax.jit, static_argnames="method")
+@functools.cache
+def _compiled_run() -> Callable[..., Outcome]:
+    return jax.jit(_run, static_argnames="method", compiler_options=options_for(AT_ONCE))
+
+
 def _run(method: CompiledMethod, batch: Problem, steps: Array) -> Outcome:
     each = functools.partial(jax.vmap, in_axes=-1, out_axes=-1)
     start = each(lambda p: observe(p.system, *p.initial))(batch)

@@ -12,6 +12,7 @@ import hashlib
 import math
 import re
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -179,7 +180,11 @@ class Plan:
         for key, value in zip(self.keys, values, strict=True):
             if key != STEP:
                 document = _replaced(document, _parts(key), value)
-        return parse_scenario(document, Path(f"{self.document['name']}.toml"))
+        return parse_scenario(document, self._file_name)
+
+    @functools.cached_property
+    def _file_name(self) -> Path:
+        return Path(f"{self.document['name']}.toml")
 
     def step(self, values: tuple[float, ...], scenario: Scenario) -> tuple[float, int]:
         """The step of a run, s, and how many it takes: by default what fits in the duration."""
@@ -309,7 +314,8 @@ def _uniform(seed: int, place: int, draw: int) -> float:
 _PART = re.compile(r"\.?([A-Za-z_][A-Za-z_0-9]*)|\[(\d{1,9})\]|\.?\"([^\"]+)\"")
 
 
-def _parts(key: str) -> list[str | int]:
+@functools.lru_cache(maxsize=64)
+def _parts(key: str) -> tuple[str | int, ...]:
     """`bodies[0].velocity[1]` as ["bodies", 0, "velocity", 1]; a body's name may stand for its place."""
     parts: list[str | int] = []
     end = 0
@@ -322,10 +328,10 @@ def _parts(key: str) -> list[str | int]:
         name, place, quoted = match.groups()
         parts.append(int(place) if place else name or quoted)
         end = match.end()
-    return parts
+    return tuple(parts)
 
 
-def _replaced(node: Any, parts: list[str | int], value: float) -> Any:
+def _replaced(node: Any, parts: Sequence[str | int], value: float) -> Any:
     """A copy of a document in which one number has another value."""
     if not parts:
         if isinstance(node, bool) or not isinstance(node, int | float):

@@ -8,7 +8,9 @@ carries no results, a worker that dies costs its task, and what is written need 
 from __future__ import annotations
 
 import importlib
+import os
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -66,7 +68,19 @@ def run_task(plan: Plan, task: Task) -> pl.DataFrame:
         return pl.concat([run_task(plan, part) for part in slices])
     measure = _batched if task.method in COMPILED_METHODS else _one_by_one
     rows: dict[int, dict[str, Any]] = {}
-    runs: list[tuple[int, Scenario, float, int]] = []
+    for point, found in measure(task, _runs(plan, task, rows)):
+        rows[point] |= found
+    return pl.DataFrame(list(rows.values()), schema(plan))
+
+
+Run = tuple[int, Scenario, float, int]
+"""Its number, what is simulated, the step, s, and how many of them."""
+
+Measured = Iterator[tuple[int, dict[str, Any]]]
+
+
+def _runs(plan: Plan, task: Task, rows: dict[int, dict[str, Any]]) -> Iterator[Run]:
+    """The runs of a task, each with a row begun; a run that no scenario allows is a row alone."""
     for point in range(task.first, task.last):
         values = plan.values(point)
         rows[point] = {
@@ -78,53 +92,53 @@ def run_task(plan: Plan, task: Task) -> pl.DataFrame:
         }
         try:
             scenario = plan.scenario(values)
-            runs.append((point, scenario, *plan.step(values, scenario)))
+            yield point, scenario, *plan.step(values, scenario)
         except ScenarioError as error:
             rows[point]["refused"] = str(error)
-    for point, found in measure(task, runs):
-        rows[point] |= found
-    return pl.DataFrame(list(rows.values()), schema(plan))
 
 
-Measured = Iterator[tuple[int, dict[str, Any]]]
-
-
-def _batched(task: Task, runs: Iterable[tuple[int, Scenario, float, int]]) -> Measured:
-    """Runs of one shape and number of steps side by side."""
+def _batched(task: Task, runs: Iterable[Run]) -> Measured:
+    """Runs of one shape and number of steps side by side, while the next ones are made ready."""
     dtype = np.dtype(task.precision).type
-    alike: dict[Any, list[tuple[int, bool, Problem]]] = {}
-    for point, scenario, dt, steps in runs:
-        try:
-            system = build_system(scenario, task.precision)
-        except UnsupportedScenario as error:
-            yield point, {"refused": str(error)}
-            continue
-        problem = Problem(system, initial_state(scenario, task.precision), dtype(dt))
-        leaves, form = jax.tree.flatten(problem)
-        shape = (steps, form, tuple(leaf.shape for leaf in leaves))
-        alike.setdefault(shape, []).append((point, system.conservative, problem))
-    for (steps, *_), members in alike.items():
-        size = batch_size(members[0][2].initial.position.shape[1])
-        for first in range(0, len(members), size):
-            points, conservative, problems = zip(*members[first : first + size], strict=True)
-            found = run_batch(task.method, problems, steps)
-            for i, point in enumerate(points):
-                low, high = (_at(extremes, i) for extremes in (found.low, found.high))
-                yield (
-                    point,
-                    _row(
-                        float(problems[i].dt),
-                        steps,
-                        float(found.start.energy[i]),
-                        float(found.energy_scale[i]),
-                        (low, high),
-                        int(found.intact_steps[i]),
-                        conservative[i],
-                    ),
-                )
+    alike: dict[Any, list[_Member]] = {}
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        batches = []
+        for point, scenario, dt, steps in runs:
+            try:
+                system = build_system(scenario, task.precision)
+            except UnsupportedScenario as error:
+                yield point, {"refused": str(error)}
+                continue
+            problem = Problem(system, initial_state(scenario, task.precision), dtype(dt))
+            leaves, form = jax.tree.flatten(problem)
+            shape = (steps, form, tuple(leaf.shape for leaf in leaves))
+            members = alike.setdefault(shape, [])
+            members.append((point, system.conservative, problem))
+            if len(members) == batch_size(len(scenario.bodies)):
+                batches.append(pool.submit(_batch, task.method, steps, alike.pop(shape)))
+        for (steps, *_), members in alike.items():
+            batches.append(pool.submit(_batch, task.method, steps, members))
+        for batch in batches:
+            yield from batch.result()
 
 
-def _one_by_one(task: Task, runs: Iterable[tuple[int, Scenario, float, int]]) -> Measured:
+_Member = tuple[int, bool, Problem]
+"""A run of a batch: its number, whether its energy is conserved, the problem."""
+
+
+def _batch(method: str, steps: int, members: list[_Member]) -> list[tuple[int, dict[str, Any]]]:
+    points, conservative, problems = zip(*members, strict=True)
+    found = run_batch(method, problems, steps)
+    rows = []
+    for i, point in enumerate(points):
+        extremes = _at(found.low, i), _at(found.high, i)
+        numbers = float(problems[i].dt), steps, float(found.start.energy[i])
+        scale, intact = float(found.energy_scale[i]), int(found.intact_steps[i])
+        rows.append((point, _row(*numbers, scale, extremes, intact, conservative[i])))
+    return rows
+
+
+def _one_by_one(task: Task, runs: Iterable[Run]) -> Measured:
     """Runs of an engine, which steps in a program of its own."""
     for point, scenario, dt, steps in runs:
         system, first = build_system(scenario), initial_state(scenario)
