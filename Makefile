@@ -66,9 +66,12 @@ trust: $(READY)  ## odd files, kills and repeated runs, in ten minutes or less
 	$(BIN)/python trust/kills.py
 	$(BIN)/python trust/repeat.py
 
-bench: $(READY)  ## measure speed, as ratios within one run
-	$(BIN)/python benchmarks/step_cost.py
+bench: $(READY)  ## measure speed, as ratios within one run (some minutes)
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check \
+		--editable '.[bench,dev]'
+	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/engine_overhead.py
+	$(BIN)/python benchmarks/scaling.py
 
 clean:  ## remove everything generated, .venv included
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis build

@@ -7,6 +7,9 @@ compare the ratios of one run, not the nanoseconds of two.
 
     python benchmarks/speed.py [--quick]
 
+"C -O3 native" is -O3 -march=native; the lines "without metrics" and "nor forces" are this harness with
+parts of its step left out, which tells where its time goes.
+
 writes results/speed.csv and reports/speed.svg. Compilation is told apart from running. A contender
 that cannot run here is a row with the reason.
 """
@@ -86,45 +89,51 @@ def harness(bodies: int, precision: str) -> Contender:
     return Contender(lambda steps: run.advance(steps, 1), time.perf_counter() - began)
 
 
-def harness_blind(bodies: int, precision: str) -> Contender:
-    """The same loop with nothing streamed: what the metrics cost is the rest."""
-    import jax
+def bare_loop(forces: bool) -> Callable[[int, str], Contender]:
+    """The harness's loop with nothing streamed, and without the forces: what is left is their price."""
 
-    from umbra_bench import compiled
-    from umbra_bench.jax_settings import float64_allowed
-    from umbra_bench.system import build_system, initial_state
+    def make(bodies: int, precision: str) -> Contender:
+        import jax
 
-    scenario = orbits(bodies)
-    system, initial = build_system(scenario, precision), initial_state(scenario, precision)
-    method = compiled.COMPILED_METHODS["umbra"]
-    dt = np.dtype(precision).type(DT)
+        from umbra_bench import compiled
+        from umbra_bench.jax_settings import float64_allowed
+        from umbra_bench.system import build_system, initial_state
 
-    def loop(system: Any, state: Any, steps: Any) -> Any:
-        whole = (lambda state: state), (lambda state: state)
-        few = bodies <= compiled.SMALL
-        apart, together = compiled.by_component(state) if few else whole
+        scenario = orbits(bodies)
+        whole, initial = build_system(scenario, precision), initial_state(scenario, precision)
+        method = compiled.COMPILED_METHODS["umbra"]
+        dt = np.dtype(precision).type(DT)
         a_turn = compiled.STEPS_A_TURN if bodies > compiled.MANY else 1
-        return compiled.take_steps(
-            lambda n, parts: apart(method.step(system, together(parts), dt)),
-            np.int64(0),
-            steps,
-            apart(state),
-            a_turn,
+
+        def loop(system: Any, state: Any, steps: Any) -> Any:
+            apart, together = compiled.carried(state)
+            parts = compiled.take_steps(
+                lambda n, parts: apart(method.step(system, together(parts), dt)),
+                np.int64(0),
+                steps,
+                apart(state),
+                a_turn,
+            )
+            return together(parts)
+
+        serial = 3 * bodies <= compiled.SERIAL
+        within = compiled.as_one_function if serial else lambda call: call
+        started = jax.jit(
+            lambda system, state, steps: within(lambda s: loop(system, s, steps))(state),
+            compiler_options=compiled.options_for(bodies),
         )
+        system = whole if forces else whole._replace(laws=())
 
-    def one_function(system: Any, state: Any, steps: Any) -> Any:
-        return compiled.as_one_function(lambda state: loop(system, state, steps))(state)
+        def run(steps: int) -> Any:
+            with float64_allowed():
+                state = method.start(system, initial)
+                return jax.block_until_ready(started(system, state, np.int64(steps)))  # type: ignore[no-untyped-call]
 
-    started = jax.jit(one_function, compiler_options=compiled.options_for(bodies))
+        began = _started()
+        run(1)
+        return Contender(run, time.perf_counter() - began)
 
-    def run(steps: int) -> Any:
-        with float64_allowed():
-            found = started(system, method.start(system, initial), np.int64(steps))
-            return jax.block_until_ready(found)  # type: ignore[no-untyped-call]
-
-    began = _started()
-    run(1)
-    return Contender(run, time.perf_counter() - began)
+    return make
 
 
 def rows(bodies: int, precision: str) -> list[np.ndarray]:
@@ -279,10 +288,11 @@ def pymunk_loop(bodies: int, precision: str) -> Contender:
 
 CONTENDERS: dict[str, Callable[[int, str], Contender]] = {
     "C -O2": c_loop("-O2"),
-    "C -O3 -march=native": c_loop("-O3", "-march=native"),
+    "C -O3 native": c_loop("-O3", "-march=native"),
     "umbra-bench": harness,
-    "umbra-bench, no metrics": harness_blind,
-    "Diffrax, constant step": diffrax_loop,
+    "- without metrics": bare_loop(forces=True),
+    "- nor forces": bare_loop(forces=False),
+    "Diffrax": diffrax_loop,
     "numba": numba_loop,
     "NumPy": numpy_loop,
     "pymunk": pymunk_loop,
@@ -351,12 +361,7 @@ def sweep_ratio(runs: int, steps: int) -> dict[str, float]:
     from umbra_bench.system import build_system, initial_state
 
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "springs.toml"
-        path.write_text(
-            f'scenario = "spring"\nmethods = ["umbra"]\nsteps = {steps}\n[[vary]]\n'
-            f'key = "forces[0].stiffness"\nrange = {{ start = 1.0, stop = 100.0, count = {runs} }}\n'
-        )
-        plan = load_plan(path)
+        plan = load_plan(spring_sweep(Path(folder), runs, steps))
         run_task(plan, Task(0, "umbra", "float64", 0, 2))
         began = _started()
         for task in plan.tasks:
@@ -376,6 +381,41 @@ def sweep_ratio(runs: int, steps: int) -> dict[str, float]:
     return {"sweep": swept, "simulate": whole, "loop": (time.perf_counter() - began) / single}
 
 
+def scenarios_growth(counts: tuple[int, ...], steps: int) -> list[tuple[int, float, float]]:
+    """Seconds for so many scenarios of one shape: one by one through `simulate`, and as a sweep.
+
+    Nothing is compiled again for another scenario, so both grow with their number alone.
+    """
+    from umbra_bench.simulation import simulate
+    from umbra_bench.sweep.plan import load_plan
+    from umbra_bench.sweep.work import run_task
+
+    found = []
+    for count in counts:
+        with tempfile.TemporaryDirectory() as folder:
+            plan = load_plan(spring_sweep(Path(folder), count, steps))
+        scenarios = [plan.scenario(plan.values(point)) for point in range(count)]
+        began = _started()
+        for scenario in scenarios:
+            simulate(scenario, "umbra", 0.01, steps=steps, every=steps)
+        singly = time.perf_counter() - began
+        began = _started()
+        for task in plan.tasks:
+            run_task(plan, task)
+        found.append((count, singly, time.perf_counter() - began))
+    return found
+
+
+def spring_sweep(folder: Path, runs: int, steps: int) -> Path:
+    """The file of a sweep over the stiffness of the spring."""
+    path = folder / "springs.toml"
+    path.write_text(
+        f'scenario = "spring"\nmethods = ["umbra"]\nsteps = {steps}\n[[vary]]\n'
+        f'key = "forces[0].stiffness"\nrange = {{ start = 1.0, stop = 100.0, count = {runs} }}\n'
+    )
+    return path
+
+
 def draw(table: pl.DataFrame, path: Path) -> None:
     """Nanoseconds a body-step against the number of bodies."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -390,7 +430,7 @@ def draw(table: pl.DataFrame, path: Path) -> None:
             axes = figure.add_axes((0.09 + 0.33 * place, 0.14, 0.29, 0.76))
             log_scale(axes, "x")
             log_scale(axes, "y")
-            for number, name in enumerate(CONTENDERS):
+            for number, name in enumerate(n for n in CONTENDERS if not n.startswith("-")):
                 line = (
                     table.filter((pl.col("contender") == name) & (pl.col("precision") == precision))
                     .drop_nulls("nanoseconds")
@@ -448,6 +488,11 @@ def main() -> None:
         batch.add_row(name, f"{1e3 * seconds:.3f}", f"{seconds / swept['sweep']:.1f}")
     console.print(batch)
 
+    number = Table("scenarios", "one by one, s", "as a sweep, s", title="springs of 10,000 steps")
+    for count, singly, together in scenarios_growth((1, 10, 100, 1000), 10_000):
+        number.add_row(str(count), f"{singly:.3g}", f"{together:.3g}")
+    console.print(number)
+
     Path("results").mkdir(exist_ok=True)
     table.write_csv("results/speed.csv")
     draw(table, Path("reports/speed"))
@@ -455,9 +500,11 @@ def main() -> None:
 
 
 def _print_speed(console: Console, table: pl.DataFrame) -> None:
-    shown = Table("contender", "precision", "bodies", title="ns a body and step")
-    for column in ("ns", "steps/s", "to C -O2", "to C -O3", "compiled in, s"):
-        shown.add_column(column, justify="right")
+    shown = Table(
+        "contender", "precision", "bodies", title="ns a body and step", box=None, pad_edge=False
+    )
+    for column in ("ns", "steps/s", "to C -O2", "to C -O3", "compile, s"):
+        shown.add_column(column, justify="right", no_wrap=True)
     for row in table.sort(
         "precision", "bodies", descending=[True, False], maintain_order=True
     ).to_dicts():
@@ -465,7 +512,7 @@ def _print_speed(console: Console, table: pl.DataFrame) -> None:
         if row["missing"]:
             shown.add_row(*line, "", row["missing"])
             continue
-        ratios = [_ratio(table, row, name) for name in ("C -O2", "C -O3 -march=native")]
+        ratios = [_ratio(table, row, name) for name in ("C -O2", "C -O3 native")]
         pace = f"{row['steps'] / row['seconds']:.3g}"
         shown.add_row(
             *line, f"{row['nanoseconds']:.1f}", pace, *ratios, f"{row['compile_seconds']:.2f}"

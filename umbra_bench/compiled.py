@@ -202,7 +202,6 @@ def _advance(
     samples: Array,
 ) -> tuple[Progress, Recording]:
     bodies = progress.state.position.shape[1]
-    carried = by_component if bodies <= SMALL else _whole
     a_turn = STEPS_A_TURN if bodies > MANY else 1
 
     def to_next_sample(progress: Progress) -> tuple[Progress, Observables, Observables]:
@@ -278,7 +277,10 @@ def by_component(like: Any) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]
     return apart, together
 
 
-def _whole(like: Any) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+def carried(like: UmbraState | State) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+    """How a loop carries a state: a small one row by row, a larger one whole."""
+    if like.position.shape[1] <= SMALL:
+        return by_component(like)
     return (lambda state: state), (lambda state: state)
 
 
