@@ -242,7 +242,7 @@ class Scenario(_Table):
         description="one table [[bodies]] or more"
     )
     forces: tuple[Force, ...] = Field(default=(), description="tables [[forces]]")
-    budget: dict[str, Budget] = Field(default={}, description="tables [budget.METHOD]")
+    budget: dict[str, Budget] = Field(default_factory=dict, description="tables [budget.METHOD]")
 
     @property
     def steps(self) -> tuple[float, ...]:

@@ -77,23 +77,29 @@ def energy_scale(start: Array, kinetic: Array) -> Array:
     return xp.where(scale > 0.0, scale, 1.0)
 
 
-def run_batch(method: str, problems: Sequence[Problem], steps: int) -> Outcome:
-    """Run problems of one shape (one tree of arrays) side by side.
+def side_by_side(problems: Sequence[Problem]) -> Problem:
+    """Problems of one shape (one tree of arrays), at most :func:`batch_size`, as one.
+
+    The last one fills the batch up, so that every batch of a sweep is one program.
+    """
+    size = batch_size(problems[0].initial.position.shape[1])
+    filled = [*problems, *[problems[-1]] * (size - len(problems))]
+    return jax.tree.map(lambda *each: np.stack(each, axis=-1), *filled)
+
+
+def run_batch(method: str, batch: Problem, steps: int) -> Outcome:
+    """Take steps of all problems of a batch.
 
     Args:
         method: a name in :data:`umbra_bench.compiled.COMPILED_METHODS`.
-        problems: B of them, at most :func:`batch_size`; the last one fills the batch up, so that
-            every batch of a sweep is one program.
+        batch: from :func:`side_by_side`.
         steps: of each run.
     """
-    count, size = len(problems), batch_size(problems[0].initial.position.shape[1])
-    filled = [*problems, *[problems[-1]] * (size - count)]
-    batch = jax.tree.map(lambda *each: np.stack(each, axis=-1), *filled)
     with float64_allowed():
         outcome = jax.block_until_ready(  # type: ignore[no-untyped-call]
             _compiled_run()(COMPILED_METHODS[method], batch, np.int64(steps))
         )
-    return jax.tree.map(lambda values: np.asarray(values)[:count], outcome)
+    return jax.tree.map(np.asarray, outcome)
 
 
 @functools.cache

@@ -28,7 +28,14 @@ from umbra_bench.results import load_json, replacing, save_json
 from umbra_bench.scenario import Scenario
 from umbra_bench.simulation import open_run
 from umbra_bench.state import kinetic_energy
-from umbra_bench.sweep.batch import Problem, batch_size, energy_scale, run_batch
+from umbra_bench.sweep.batch import (
+    Outcome,
+    Problem,
+    batch_size,
+    energy_scale,
+    run_batch,
+    side_by_side,
+)
 from umbra_bench.sweep.plan import TASK_RUNS, Plan, Task
 from umbra_bench.system import build_system, initial_state
 
@@ -103,6 +110,12 @@ def _batched(task: Task, runs: Iterable[Run]) -> Measured:
     alike: dict[Any, list[_Member]] = {}
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         batches = []
+
+        def start(steps: int, members: list[_Member]) -> None:
+            # The threads do nothing but step: what is done in Python is done here, in turn.
+            batch = side_by_side([problem for _, _, problem in members])
+            batches.append((steps, members, pool.submit(run_batch, task.method, batch, steps)))
+
         for point, scenario, dt, steps in runs:
             try:
                 system = build_system(scenario, task.precision)
@@ -115,27 +128,23 @@ def _batched(task: Task, runs: Iterable[Run]) -> Measured:
             members = alike.setdefault(shape, [])
             members.append((point, system.conservative, problem))
             if len(members) == batch_size(len(scenario.bodies)):
-                batches.append(pool.submit(_batch, task.method, steps, alike.pop(shape)))
+                start(steps, alike.pop(shape))
         for (steps, *_), members in alike.items():
-            batches.append(pool.submit(_batch, task.method, steps, members))
-        for batch in batches:
-            yield from batch.result()
+            start(steps, members)
+        for steps, members, outcome in batches:
+            yield from _rows(steps, members, outcome.result())
 
 
 _Member = tuple[int, bool, Problem]
 """A run of a batch: its number, whether its energy is conserved, the problem."""
 
 
-def _batch(method: str, steps: int, members: list[_Member]) -> list[tuple[int, dict[str, Any]]]:
-    points, conservative, problems = zip(*members, strict=True)
-    found = run_batch(method, problems, steps)
-    rows = []
-    for i, point in enumerate(points):
+def _rows(steps: int, members: list[_Member], found: Outcome) -> Measured:
+    for i, (point, conservative, problem) in enumerate(members):
         extremes = _at(found.low, i), _at(found.high, i)
-        numbers = float(problems[i].dt), steps, float(found.start.energy[i])
+        numbers = float(problem.dt), steps, float(found.start.energy[i])
         scale, intact = float(found.energy_scale[i]), int(found.intact_steps[i])
-        rows.append((point, _row(*numbers, scale, extremes, intact, conservative[i])))
-    return rows
+        yield point, _row(*numbers, scale, extremes, intact, conservative)
 
 
 def _one_by_one(task: Task, runs: Iterable[Run]) -> Measured:
