@@ -242,12 +242,17 @@ def run_sweep(
     for task in where(plan, left, folder):
         done += 1
         listener(f"{task.method} {task.precision}, run {task.last}", done, len(parts))
-    with replacing(table) as temporary:
-        pl.scan_parquet(list(parts.values()), glob=False).sink_parquet(temporary)
+    join_parts(list(parts.values()), table)
     for part in parts.values():
         part.unlink()
     folder.rmdir()
     return table
+
+
+def join_parts(parts: list[Path], table: Path) -> None:
+    """Make one table of its parts, which need not fit in memory."""
+    with replacing(table) as temporary:
+        pl.scan_parquet(parts, glob=False).sink_parquet(temporary)
 
 
 def write_part(plan: Plan, task: Task, folder: Path) -> int:
