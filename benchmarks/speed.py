@@ -428,6 +428,8 @@ def draw(table: pl.DataFrame, path: Path) -> None:
         FigureCanvasAgg(figure)
         for place, precision in enumerate(("float64", "float32")):
             axes = figure.add_axes((0.09 + 0.33 * place, 0.14, 0.29, 0.76))
+            axes.set_ylim(1.0, 1e5)
+            axes.tick_params(labelleft=not place)
             log_scale(axes, "x")
             log_scale(axes, "y")
             for number, name in enumerate(n for n in CONTENDERS if not n.startswith("-")):

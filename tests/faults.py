@@ -346,7 +346,7 @@ FAULTS = (
         "kinetic energy without the half",
         "own",
         "state",
-        "return 0.5 * (mx * vx * vx",
+        "return 0.5 * (mass * (vx * vx",
         "return 1.0 * (mx * vx * vx",
         CRANE,
         moves_truth=True,
