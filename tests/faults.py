@@ -347,7 +347,7 @@ FAULTS = (
         "own",
         "state",
         "return 0.5 * (mass * (vx * vx",
-        "return 1.0 * (mx * vx * vx",
+        "return 1.0 * (mass * (vx * vx",
         CRANE,
         moves_truth=True,
     ),
