@@ -433,8 +433,10 @@ class _Builder:
 
     def optional(self, values: Iterable[Any]) -> np.ndarray | None:
         """As `array`, or None where all values are zero: a term that no row has is not computed."""
-        array = self.array(values)
-        return array if array.any() else None
+        values = list(values)
+        if not any(any(value) if isinstance(value, tuple) else value for value in values):
+            return None
+        return self.array(values)
 
     def acting(self, names: Iterable[str]) -> Acting:
         return Acting(tuple(self.places[name] for name in names), len(self.places))

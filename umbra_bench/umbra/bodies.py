@@ -130,14 +130,19 @@ class Bodies(NamedTuple):
         A body of infinite mass is not damped: a kinematic one keeps the velocity that it was given.
         """
         mass = [(d.mass, d.mass, d.moment_of_inertia) for d in definitions]
-        inverse = np.array([d.inverse_masses for d in definitions], dtype).reshape(-1, 3).T
-        damping = [(d.linear_damping, d.linear_damping, d.angular_damping) for d in definitions]
-        moved = inverse[0] > 0.0
-        kept = np.where(moved, np.array(damping, dtype).reshape(-1, 3).T, dtype(1.0))
+        inverse = [d.inverse_masses for d in definitions]
+        kept = [
+            (d.linear_damping, d.linear_damping, d.angular_damping) if moved[0] else (1.0, 1.0, 1.0)
+            for d, moved in zip(definitions, inverse, strict=True)
+        ]
+
+        def rows(columns: list[tuple[float, float, float]]) -> np.ndarray:
+            return np.array(columns, dtype).reshape(-1, 3).T
+
         return cls(
-            mass=np.array(mass, dtype).reshape(-1, 3).T,
-            inverse_mass=inverse,
-            damping=None if np.all(kept == 1.0) else kept,
+            mass=rows(mass),
+            inverse_mass=rows(inverse),
+            damping=rows(kept) if any(each != (1.0, 1.0, 1.0) for each in kept) else None,
             affected_by_gravity=np.array([d.affected_by_gravity for d in definitions], bool),
         )
 
