@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from umbra_bench.plots import CLIP, PRECISIONS, log_scale, look_of, save, styled
 from umbra_bench.results import load_table
+from umbra_bench.scenario_tables import in_order
 from umbra_bench.schemas import DRIFT_SCHEMA, DRIFT_SERIES_SCHEMA
 from umbra_bench.wording import method_title
 
@@ -71,7 +72,11 @@ def draw_long_runs(runs: LongRuns) -> Figure:
             panels.append(axes)
             log_scale(axes, "x")
             log_scale(axes, "y")
-            for row in laws.filter(pl.col("precision") == precision).to_dicts():
+            axes.tick_params(labelleft=not place)
+            of_precision = laws.filter(pl.col("precision") == precision).to_dicts()
+            for row in sorted(
+                of_precision, key=lambda row: in_order(laws["method"]).index(row["method"])
+            ):
                 line = series.filter(
                     (pl.col("method") == row["method"])
                     & (pl.col("precision") == precision)
