@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from umbra_bench.plots import CLIP, PRECISIONS, log_scale, look_of, save, styled
-from umbra_bench.results import load_table
+from umbra_bench.results import is_there, load_table
 from umbra_bench.schemas import DRIFT_SCHEMA, DRIFT_SERIES_SCHEMA
 from umbra_bench.wording import method_title
 
@@ -30,7 +30,7 @@ def load_long_runs(results: Path) -> list[LongRuns]:
     Raises:
         UmbraBenchError: as :func:`umbra_bench.results.load_table`.
     """
-    if not (results / "drift_series.parquet").is_file():
+    if not is_there(results / "drift_series.parquet"):
         return []
     laws = load_table("drift", results, DRIFT_SCHEMA)
     series = load_table("drift_series", results, DRIFT_SERIES_SCHEMA)
