@@ -11,6 +11,7 @@ import polars as pl
 import pytest
 from test_results import small_study, tiny_study
 
+from umbra_bench.drift import run_drift
 from umbra_bench.errors import ScenarioError, UmbraBenchError
 from umbra_bench.results import load_json, load_table, save_study, save_table
 from umbra_bench.scenario import MAXIMUM_BYTES, load_scenario
@@ -31,6 +32,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A study on disk with a table of engines."""
     folder = tmp_path_factory.mktemp("study")
     save_study(small_study(), folder)
+    run_drift(load_scenario("spring"), ["umbra"], ["float64"], 300, 0.01, folder)
     row = {"method": "umbra", "version": "", "precision": "either", "integrator": "x"}
     row |= {"velocity": "y", "position_order": 1.0, "energy_error_100": 0.1, "energy_error_60": 0.2}
     save_table(pl.DataFrame([row], ENGINES_SCHEMA), "engines", folder)
@@ -38,12 +40,28 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    "name", ["scenarios", "baselines", "claims.json", "engines", *inputs.RESULTS]
+    "name",
+    [
+        "scenarios",
+        "sweeps",
+        "baselines",
+        "claims.json",
+        "engines",
+        "kept",
+        "stamps",
+        *inputs.RESULTS,
+    ],
 )
 def test_odd_files_are_sound_or_refused_in_one_line(name: str, study: Path, tmp_path: Path) -> None:
     match name:
         case "scenarios":
             kind, count = inputs.scenarios(), 30
+        case "sweeps":
+            kind, count = inputs.sweeps(), 20
+        case "kept":
+            kind, count = inputs.long_runs(study), 8
+        case "stamps":
+            kind, count = inputs.stamps(), 5
         case "baselines":
             kind, count = inputs.baselines(), 10
         case "claims.json":
