@@ -29,7 +29,7 @@ import polars as pl
 from umbra_bench import findings, gate
 from umbra_bench.claims.record import load_claims
 from umbra_bench.compiled import COMPILED_METHODS
-from umbra_bench.drift import _LongRun
+from umbra_bench.drift import _DAMAGED, _arrays, _LongRun
 from umbra_bench.drift_figures import draw_long_runs, load_long_runs
 from umbra_bench.errors import ScenarioError, UmbraBenchError, UnsupportedScenario
 from umbra_bench.html_report import _long_runs_data, explorer_data
@@ -553,12 +553,14 @@ def nonsense_in_sweep(document: dict[str, Any]) -> str | None:
 
 def long_runs(folder: Path) -> Kind:
     """What a long run keeps of where it stands; `folder` holds one."""
-    (kept,) = (folder / "drift").glob("*.npz")
+    (kept,) = (folder / "drift").glob("*umbra*.npz")
     scenario, reference = load_scenario("spring"), certified_reference(load_scenario("spring"))
 
     def parse(content: bytes) -> Tree:
-        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-            return {name: arrays[name].tolist() for name in arrays.files}
+        try:
+            return {name: array.tolist() for name, array in _arrays(content).items()}
+        except (*_DAMAGED, KeyError) as error:
+            raise ValueError("damaged") from error
 
     def write(tree: Tree) -> bytes:
         file = io.BytesIO()

@@ -221,6 +221,7 @@ def make_study(folder: Path) -> None:
     }
     numbers = {"position_order": 1.0, "energy_error_100": 0.1, "energy_error_60": 0.2}
     run_drift(scenarios[0], ["umbra"], ["float64"], 2000, 0.01, folder)
+    run_drift(scenarios[0], ["rk4"], ["float32"], 300, 9.0, folder)  # diverges
     save_table(pl.DataFrame([{**row, **numbers}], ENGINES_SCHEMA), "engines", folder)
 
 

@@ -39,7 +39,7 @@ from umbra_bench.results import (
     write_table,
 )
 from umbra_bench.scenario import Scenario, scenario_hash
-from umbra_bench.schemas import DRIFT_SCHEMA, DRIFT_SERIES_SCHEMA
+from umbra_bench.schemas import DRIFT_LINE, DRIFT_SCHEMA, DRIFT_SERIES_SCHEMA
 from umbra_bench.simulation import open_run
 from umbra_bench.system import build_system
 
@@ -48,8 +48,6 @@ MOST_STEPS = 2**53
 KEEP_SECONDS = 10.0
 SLICE_SECONDS = 0.5
 """The loop returns so often, to say how far it is and to be interrupted."""
-
-_LINE = ["scenario", "method", "precision", "dt"]
 
 Listener = Callable[[str, int, int], None]
 
@@ -179,7 +177,7 @@ class _LongRun:
     @property
     def line(self) -> dict[str, Any]:
         names = self.scenario.name, self.method, self.precision, self.dt
-        return dict(zip(_LINE, names, strict=True))
+        return dict(zip(DRIFT_LINE, names, strict=True))
 
     @property
     def place(self) -> Path:
@@ -350,9 +348,9 @@ def _merge(series: pl.DataFrame, law: pl.DataFrame, results: Path) -> None:
     with together(results, "drift") as fresh:  # alone: what is read here is what is replaced
         for name, (rows, schema) in new.items():
             if is_there(results / f"{name}.parquet"):
-                old = load_table(name, results, schema).join(rows, on=_LINE, how="anti")
+                old = load_table(name, results, schema).join(rows, on=DRIFT_LINE, how="anti")
                 rows = pl.concat([old, rows])
-            write_table(rows.sort(_LINE, maintain_order=True), name, fresh)
+            write_table(rows.sort(DRIFT_LINE, maintain_order=True), name, fresh)
 
 
 def print_drift(results: Path) -> None:
