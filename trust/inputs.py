@@ -690,6 +690,8 @@ def _parquet(tree: Tree) -> bytes:
             column = pl.Series(str(name), values, strict=False)
         except (TypeError, ValueError, OverflowError, pl.exceptions.PolarsError):
             continue
+        if column.dtype == pl.Null:  # a column of numbers none of which is there
+            column = column.cast(pl.Float64)
         if (
             not str(column.dtype).count("(") > 8
         ):  # polars writes deeper ones and dies of reading them
