@@ -668,7 +668,8 @@ def _whole(content: bytes) -> bytes:
 def _columns(content: bytes) -> Tree:
     if hashlib.sha256(content).hexdigest() not in _WHOLE:
         raise ValueError("damaged")
-    return pl.read_parquet(io.BytesIO(content)).head(40).to_dict(as_series=False)
+    table = pl.read_parquet(io.BytesIO(content))
+    return table.gather_every(1 + table.height // 40).to_dict(as_series=False)
 
 
 def _seal(path: Path) -> None:
