@@ -62,9 +62,7 @@ check: $(READY)  ## formatting, lint and types
 	$(BIN)/mypy
 
 trust: $(READY)  ## odd files, kills and repeated runs, in ten minutes or less
-	$(BIN)/python trust/search.py
-	$(BIN)/python trust/kills.py
-	$(BIN)/python trust/repeat.py
+	$(BIN)/python trust/all.py
 
 bench: $(READY)  ## measure speed, as ratios within one run (some minutes)
 	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check \

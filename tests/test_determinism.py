@@ -77,7 +77,7 @@ def test_the_same_study_is_the_same_bytes_on_disk_apart_from_timings(
 
 def test_kills_and_limits_leave_whole_results() -> None:
     """A few of what `make trust` does by the fifty."""
-    words = [sys.executable, "trust/kills.py", "--kills", "1", "--commands", "0"]
+    words = [sys.executable, "trust/kills.py", "--kills", "1", "--commands", "0", "--resumed", "0"]
     done = subprocess.run(
         words,
         cwd=ROOT,

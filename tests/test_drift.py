@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import signal
 import subprocess
@@ -19,7 +20,7 @@ from umbra_bench.drift import print_drift, run_drift, sample_steps
 from umbra_bench.drift_figures import draw_drift
 from umbra_bench.drift_law import fit_drift_law
 from umbra_bench.errors import UmbraBenchError
-from umbra_bench.results import load_table
+from umbra_bench.results import alone_at, load_table
 from umbra_bench.scenario import load_scenario
 
 SPRING = load_scenario("spring")
@@ -225,7 +226,29 @@ def test_what_was_kept_of_something_else_is_refused(tmp_path: Path) -> None:
     assert again["steps"].to_list() == [3000]
 
 
-@pytest.mark.parametrize("content", [b"", b"PK nonsense", b"\x93NUMPY"])
+def test_a_second_command_on_the_same_run_says_so_and_leavings_are_removed(tmp_path: Path) -> None:
+    kept = tmp_path / "drift/spring-umbra-float64-0.01.npz"
+    left = kept.with_name(f".{kept.name}.abcd1234")
+    with alone_at(kept), pytest.raises(UmbraBenchError, match="another command is writing there"):
+        law_of("umbra", 2000, tmp_path)
+    left.touch()
+    law_of("umbra", 2000, tmp_path)
+    assert not left.exists()
+
+
+def an_array() -> bytes:
+    file = io.BytesIO()
+    np.save(file, np.zeros(3))
+    return file.getvalue()
+
+
+def other_leaves() -> bytes:
+    file = io.BytesIO()
+    np.savez(file, key=np.array(["x"], dtype=object), steps=np.zeros(2))
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("content", [b"", b"PK nonsense", b"\x93NUMPY", an_array(), other_leaves()])
 def test_what_was_kept_and_is_damaged_is_one_line(tmp_path: Path, content: bytes) -> None:
     law_of("umbra", 2000, tmp_path)
     (kept,) = (tmp_path / "drift").glob("*.npz")

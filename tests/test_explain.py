@@ -8,9 +8,11 @@ import pytest
 from test_results import small_study
 
 from umbra_bench import cli
+from umbra_bench.drift import run_drift, sample_steps
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.explain import WIDTH, explain, reproduce
 from umbra_bench.results import save_study
+from umbra_bench.scenario import load_scenario
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +71,18 @@ def test_the_command(
         cli.main()
     assert ending.value.code == 0
     assert capsys.readouterr().out.splitlines() == explain(cell, folder)
+
+
+def test_a_long_run_is_told_with_its_samples_and_its_command(tmp_path: Path) -> None:
+    run_drift(load_scenario("spring"), ["umbra"], ["float32"], 50, 0.01, tmp_path)
+    lines = explain("drift/spring/umbra/float32/0.01", tmp_path)
+    samples = [int(line.split()[1]) for line in lines if line.startswith("  step ")]
+    assert samples == [*sample_steps(50), 50]
+    text = " ".join(line.strip() for line in lines)
+    assert "drift spring --method umbra --precision float32 --dt 0.01 --steps 50 --restart" in text
+    assert max(map(len, lines)) <= WIDTH
+    with pytest.raises(UmbraBenchError, match="is no long run; did you mean 'spring/umbra"):
+        explain("drift/spring/umbar/float32/0.01", tmp_path)
 
 
 def test_a_command_is_quoted_for_the_shell() -> None:

@@ -11,10 +11,14 @@ import polars as pl
 import pytest
 from test_results import small_study, tiny_study
 
+from umbra_bench.drift import run_drift
+from umbra_bench.drift_figures import load_long_runs
 from umbra_bench.errors import ScenarioError, UmbraBenchError
 from umbra_bench.results import load_json, load_table, save_study, save_table
 from umbra_bench.scenario import MAXIMUM_BYTES, load_scenario
 from umbra_bench.schemas import ENGINES_SCHEMA
+from umbra_bench.sweep.plan import load_plan
+from umbra_bench.sweep.work import run_sweep
 from umbra_bench.system import build_system
 
 HEAD = """name = "odd"
@@ -31,6 +35,8 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A study on disk with a table of engines."""
     folder = tmp_path_factory.mktemp("study")
     save_study(small_study(), folder)
+    run_drift(load_scenario("spring"), ["umbra"], ["float64"], 300, 0.01, folder)
+    run_drift(load_scenario("spring"), ["rk4"], ["float32"], 300, 9.0, folder)  # diverges
     row = {"method": "umbra", "version": "", "precision": "either", "integrator": "x"}
     row |= {"velocity": "y", "position_order": 1.0, "energy_error_100": 0.1, "energy_error_60": 0.2}
     save_table(pl.DataFrame([row], ENGINES_SCHEMA), "engines", folder)
@@ -38,12 +44,28 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    "name", ["scenarios", "baselines", "claims.json", "engines", *inputs.RESULTS]
+    "name",
+    [
+        "scenarios",
+        "sweeps",
+        "baselines",
+        "claims.json",
+        "engines",
+        "kept",
+        "stamps",
+        *inputs.RESULTS,
+    ],
 )
 def test_odd_files_are_sound_or_refused_in_one_line(name: str, study: Path, tmp_path: Path) -> None:
     match name:
         case "scenarios":
             kind, count = inputs.scenarios(), 30
+        case "sweeps":
+            kind, count = inputs.sweeps(), 20
+        case "kept":
+            kind, count = inputs.long_runs(study), 8
+        case "stamps":
+            kind, count = inputs.stamps(), 5
         case "baselines":
             kind, count = inputs.baselines(), 10
         case "claims.json":
@@ -196,3 +218,56 @@ def test_a_document_that_is_not_sound_json(content: bytes, said: str, tmp_path: 
     with pytest.raises(UmbraBenchError, match=said) as caught:
         load_json(_put(tmp_path / "a.json", content))
     assert len(str(caught.value).splitlines()) == 1
+
+
+# Sweeps and long runs -----------------------------------------------------------------------------
+
+SWEEP = """scenario = "spring"
+methods = ["umbra"]
+vary = [{ key = "dt", values = [0.01] }]
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[0.01]", "[0.0]", "vary[0]: dt = 0.0: expected a step > 0 s"),  # divided by zero
+        ("[0.01]", "[1e-30]", "vary[0]: dt = 1e-30: 2e+31 steps in the duration"),  # overflowed
+        ("[0.01]", '["0.01"]', "vary[0].values[0] = '0.01'"),  # was taken for a number
+        ("[0.01]", "[true]", "vary[0].values[0] = True"),
+        ("values = [0.01]", "range = { start = 1, stop = 2, count = 1000000000 }", "count"),  # 8 GB
+        ('"spring"', '"../x.toml"', "scenario = '../x.toml': ../x.toml: there is no such"),
+        ('"spring"', '"\\u0000.toml"', r"scenario = '\x00.toml'"),
+        ("vary", f"{'.'.join(['a'] * 100_000)} = 1\nvary", "more than 64 parts"),  # all memory
+        ("key", "kay = 1, key", "vary[0].kay: unknown key; did you mean 'key'?"),
+        ("scenario", "scenarios", "scenarios: unknown key; did you mean 'scenario'?"),
+    ],
+)
+def test_a_sweep_file_that_once_broke_the_reader(
+    old: str, new: str, said: str, tmp_path: Path
+) -> None:
+    path = _put(tmp_path / "odd.toml", SWEEP.replace(old, new, 1).encode())
+    with pytest.raises(UmbraBenchError) as caught:
+        load_plan(path)
+    inputs.check_message(str(caught.value), path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"[]", b"{}", b'{"fingerprint": 1}'])
+def test_a_stamp_that_is_none_is_of_another_sweep(content: bytes, tmp_path: Path) -> None:
+    plan = load_plan(_put(tmp_path / "odd.toml", SWEEP.encode()))
+    (tmp_path / "sweeps").mkdir()
+    _put(tmp_path / "sweeps/odd.json", content)
+    with pytest.raises(UmbraBenchError, match=r"odd\.json: holds another sweep .* --restart"):
+        run_sweep(plan, tmp_path)
+
+
+def test_a_law_without_its_samples_is_refused(study: Path, tmp_path: Path) -> None:
+    for name in ("drift", "drift_series"):
+        table = load_table(name, study, {})
+        if name == "drift":
+            table = table.with_columns(scenario=pl.lit("other"))
+        save_table(table, name, tmp_path)
+    with pytest.raises(UmbraBenchError, match=r"row other/.*: has no samples"):
+        load_long_runs(tmp_path)

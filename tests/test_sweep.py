@@ -15,11 +15,12 @@ import psutil
 import pytest
 
 from umbra_bench.errors import UmbraBenchError
+from umbra_bench.results import alone_at
 from umbra_bench.scenario import load_scenario
 from umbra_bench.simulation import simulate
 from umbra_bench.sweep.figures import draw_sweep
 from umbra_bench.sweep.plan import Plan, load_plan
-from umbra_bench.sweep.work import run_sweep, run_task
+from umbra_bench.sweep.work import run_sweep, run_task, write_part
 
 SPRING = """
 scenario = "spring"
@@ -233,6 +234,39 @@ def test_a_sweep_that_was_killed_goes_on_where_it_was(tmp_path: Path) -> None:
     assert table.read_bytes() == here
     assert told[0] == "found from before"
     assert len(told) == 1 + len(plan.tasks) - len(kept)
+
+
+def test_what_a_killed_sweep_left_half_written_or_damaged_is_made_again(tmp_path: Path) -> None:
+    plan = planned(tmp_path, SPRING)
+    here = run_sweep(plan, tmp_path / "here").read_bytes()
+    parts = tmp_path / "killed/sweeps/sweep"
+    for task in plan.tasks:
+        write_part(plan, task, parts)
+    first, *_ = sorted(parts.iterdir())
+    first.write_bytes(first.read_bytes()[:-9])
+    (parts / f".{first.name}.abcd1234").touch()
+    told: list[str] = []
+    table = run_sweep(plan, tmp_path / "killed", listener=lambda what, *_: told.append(what))
+    assert table.read_bytes() == here
+    assert len(told) == (2 if len(plan.tasks) > 1 else 1)
+    assert not parts.exists()
+
+
+def test_a_second_sweep_in_the_same_place_says_so(tmp_path: Path) -> None:
+    plan = planned(tmp_path, SPRING)
+    table = tmp_path / "sweeps/sweep.parquet"
+    with alone_at(table), pytest.raises(UmbraBenchError, match="another command is writing there"):
+        run_sweep(plan, tmp_path)
+    assert run_sweep(plan, tmp_path) == table
+
+
+def test_a_damaged_table_of_a_sweep_is_refused(tmp_path: Path) -> None:
+    plan = planned(tmp_path, SPRING)
+    table = run_sweep(plan, tmp_path)
+    table.write_bytes(table.read_bytes()[:-1])
+    for read in (run_sweep, lambda plan, folder: draw_sweep(plan, table, folder)):
+        with pytest.raises(UmbraBenchError, match=r"sweep\.parquet: is not what was written"):
+            read(plan, tmp_path)
 
 
 def test_another_sweep_in_the_same_place_is_refused_until_told(tmp_path: Path) -> None:

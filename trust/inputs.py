@@ -29,14 +29,19 @@ import polars as pl
 from umbra_bench import findings, gate
 from umbra_bench.claims.record import load_claims
 from umbra_bench.compiled import COMPILED_METHODS
-from umbra_bench.errors import UmbraBenchError, UnsupportedScenario
-from umbra_bench.html_report import explorer_data
+from umbra_bench.drift import _DAMAGED, _arrays, _LongRun
+from umbra_bench.drift_figures import draw_long_runs, load_long_runs
+from umbra_bench.errors import ScenarioError, UmbraBenchError, UnsupportedScenario
+from umbra_bench.html_report import _long_runs_data, explorer_data
 from umbra_bench.overview import overview
+from umbra_bench.reference import certified_reference
 from umbra_bench.report import load_scenario_tables, render_page
 from umbra_bench.results import load_environment, load_table
 from umbra_bench.scenario import MAXIMUM_BYTES, Scenario, load_scenario
 from umbra_bench.schemas import ENGINES_SCHEMA
 from umbra_bench.simulation import simulate
+from umbra_bench.sweep.plan import MOST_RUNS, load_plan
+from umbra_bench.sweep.work import _claim
 from umbra_bench.system import build_system, initial_state
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -454,11 +459,149 @@ def baselines() -> Kind:
     return _json_kind("baselines", "baseline.json", [small], examine)
 
 
+def sweeps() -> Kind:
+    """Sweep files: the project's own, and one of each way to vary a number."""
+    seeds = [path.read_bytes() for path in sorted(ROOT.glob("examples/sweeps/*.toml"))]
+    seeds += [text.encode() for text in _SWEEPS]
+
+    def examine(path: Path, random: Random) -> None:
+        planned = load_plan(path)
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        if nonsense := nonsense_in_sweep(document):
+            raise Wrong(f"accepted: {nonsense}")
+        if (
+            not 0 < planned.runs <= MOST_RUNS
+            or sum(t.last - t.first for t in planned.tasks) != planned.runs
+        ):
+            raise Wrong("tasks that are not the runs")
+        for point in {0, planned.points - 1, random.randrange(planned.points)}:
+            with contextlib.suppress(ScenarioError):  # a run that cannot be is a row that says why
+                values = planned.values(point)
+                planned.step(values, planned.scenario(values))
+
+    return Kind(
+        "sweeps",
+        "odd.toml",
+        seeds,
+        lambda content: tomllib.loads(content.decode("utf-8")),
+        lambda tree: toml(tree if isinstance(tree, dict) else {"a": tree}).encode(
+            "utf-8", "replace"
+        ),
+        examine,
+    )
+
+
+_SWEEPS = (
+    """scenario = "spring"
+methods = ["umbra", "pymunk"]
+precisions = ["float32", "float64"]
+dt = 0.01
+draws = 5
+seed = 7
+vary = [
+  { key = "forces[0].stiffness", random = { low = 1.0, high = 9.0, distribution = "log-uniform" } },
+  { key = "bodies[0].velocity[1]", values = [-1.0, 0.5, 2] },
+]
+""",
+    """scenario = "figure_eight"
+methods = ["rk4"]
+vary = [
+  { key = "dt", range = { start = 0.001, stop = 0.1, count = 5, spacing = "log" } },
+  { key = "bodies[0].mass", range = { start = 1, stop = 2, count = 3 } },
+]
+""",
+)
+_SWEEP_KEYS = {"scenario", "methods", "vary", "precisions", "dt", "steps", "draws", "seed"}
+_WAYS = {
+    "values": None,
+    "range": {"start", "stop", "count", "spacing"},
+    "random": {"low", "high", "distribution"},
+}
+
+
+def nonsense_in_sweep(document: dict[str, Any]) -> str | None:
+    """What no reader of sweep files would accept; written from the format, not from the code."""
+    if unknown := set(document) - _SWEEP_KEYS:
+        return f"unknown keys {unknown}"
+    for method in document["methods"]:
+        if not isinstance(method, str) or ":" in method:
+            return f"the method {method!r}"
+    keys = [variation["key"] for variation in document["vary"]]
+    if len(set(keys)) < len(keys):
+        return "a key that varies twice"
+    for variation in document["vary"]:
+        ways = set(variation) - {"key"}
+        if len(ways) != 1 or not ways <= set(_WAYS):
+            return f"a key with {ways}"
+        (way,) = ways
+        if isinstance(variation[way], dict) and set(variation[way]) - (_WAYS[way] or set()):
+            return f"unknown keys in {variation[way]}"
+    for container, key in nodes(document):
+        value = container[key]
+        if isinstance(value, bool):
+            return f"{key} = {value}"
+        if isinstance(value, (int, float)) and key != "seed" and not abs(value) <= 1e60:
+            return f"{key} = {value}"
+        if key in ("start", "stop", "low", "high", "dt") and not isinstance(value, (int, float)):
+            return f"{key} = {value!r}, no number"
+        if key in ("count", "steps", "draws", "seed") and not (
+            type(value) is int and value >= (key != "seed")
+        ):
+            return f"{key} = {value!r}, no count"
+    return None
+
+
+def long_runs(folder: Path) -> Kind:
+    """What a long run keeps of where it stands; `folder` holds one."""
+    (kept,) = (folder / "drift").glob("*umbra*.npz")
+    scenario, reference = load_scenario("spring"), certified_reference(load_scenario("spring"))
+
+    def parse(content: bytes) -> Tree:
+        try:
+            return {name: array.tolist() for name, array in _arrays(content).items()}
+        except (*_DAMAGED, KeyError) as error:
+            raise ValueError("damaged") from error
+
+    def write(tree: Tree) -> bytes:
+        file = io.BytesIO()
+        try:
+            np.savez(file, **{str(key): np.array(value) for key, value in tree.items()})
+        except (ValueError, TypeError, AttributeError, OverflowError):
+            return b""
+        return file.getvalue()
+
+    def examine(path: Path, random: Random) -> None:
+        run = _LongRun(scenario, reference, "umbra", "float64", 0.01, path.parent)
+        run.take_up(restart=False)
+        steps = run.standing.steps
+        if not 0 <= steps <= 2**53 or run.run.intact_steps > steps:
+            raise Wrong(f"{steps} steps, {run.run.intact_steps} of them intact")
+        if len(run.standing.seen) and random.random() < 0.2:
+            run.go_on(steps + 1, lambda *_: None)
+            run.tables()
+
+    return Kind("drift/*.npz", kept.name, [kept.read_bytes()], parse, write, examine)
+
+
+def stamps() -> Kind:
+    """What tells which sweep lies in a place."""
+    planned = load_plan(ROOT / "examples" / "sweeps" / "spring_stability.toml")
+    seed = {"sweep": planned.name, "fingerprint": planned.fingerprint, "reproduce": "x"}
+
+    def examine(path: Path, random: Random) -> None:
+        _claim(planned, path.with_suffix(".parquet"), restart=False)
+        if _tree_of(path).get("fingerprint") != planned.fingerprint:
+            raise Wrong("accepted: the stamp of another sweep")
+
+    return _json_kind("sweeps/*.json", "spring_stability.json", [seed], examine)
+
+
 RESULTS = (
     *("scenarios.json", "environment.json", "study.parquet", "orders.parquet"),
     *("references.parquet", "skips.parquet", "motion.parquet", "energy.parquet"),
+    *("drift.parquet", "drift_series.parquet"),
 )
-"""The files of a study that a report reads."""
+"""The files of a study and of long runs that a report reads."""
 
 
 def unsealed_copy(study: Path, folder: Path) -> Path:
@@ -489,6 +632,12 @@ def results(folder: Path, file: str) -> Kind:
         overview(tables)
         findings.paragraph(tables)
         findings.drift_table(tables)
+        long_runs = load_long_runs(path.parent)
+        for runs in long_runs:
+            findings.long_runs_caption(runs.laws.to_dicts())
+            _long_runs_data(runs)
+            if "drift" in path.name and random.random() < 0.1:
+                draw_long_runs(runs)
         text = json.dumps(explorer_data(tables), allow_nan=False)
         if random.random() < 0.1:
             text += render_page(tables, path.parent)
@@ -519,7 +668,8 @@ def _whole(content: bytes) -> bytes:
 def _columns(content: bytes) -> Tree:
     if hashlib.sha256(content).hexdigest() not in _WHOLE:
         raise ValueError("damaged")
-    return pl.read_parquet(io.BytesIO(content)).head(40).to_dict(as_series=False)
+    table = pl.read_parquet(io.BytesIO(content))
+    return table.gather_every(1 + table.height // 40).to_dict(as_series=False)
 
 
 def _seal(path: Path) -> None:
@@ -541,6 +691,8 @@ def _parquet(tree: Tree) -> bytes:
             column = pl.Series(str(name), values, strict=False)
         except (TypeError, ValueError, OverflowError, pl.exceptions.PolarsError):
             continue
+        if column.dtype == pl.Null:  # a column of numbers none of which is there
+            column = column.cast(pl.Float64)
         if (
             not str(column.dtype).count("(") > 8
         ):  # polars writes deeper ones and dies of reading them

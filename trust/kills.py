@@ -2,6 +2,8 @@
 
 Each writer replaces one good set of files by another, over and over, until it is killed (SIGKILL) at a
 random moment. Then everything is read as a report or a gate reads it: it must be the one or the other.
+A sweep and a long run are killed while they compute and write, go on, and are killed again until they
+end: their tables must be, byte for byte, those of a run that nobody killed.
 
     python trust/kills.py              fifty kills of each writer
 """
@@ -30,6 +32,7 @@ from umbra_bench.scenario import parse_scenario
 from umbra_bench.study import Study
 
 ROOT = Path(__file__).resolve().parent.parent
+RESUMED = Path(__file__).with_name("resumed.py")
 NOBODY = 65534
 METHODS = ("umbra", "velocity-verlet")
 """The method that tells each of the two studies."""
@@ -230,6 +233,16 @@ def two_at_once(good: Path, target: Path) -> None:
     print(f"  two studies at once: whole, of {read('study', target)}")
 
 
+def kill_resumed(kills: int, seed: int) -> int:
+    """Kill what goes on where it was, in an interpreter of its own, which has JAX and forks."""
+    words = [sys.executable, str(RESUMED), "--kills", str(kills), "--seed", str(seed)]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    print(done.stdout, end="", flush=True)
+    if done.returncode:
+        raise AssertionError(f"what goes on where it was: {done.stdout}{done.stderr}")
+    return int(done.stdout.split()[-1])
+
+
 def main() -> int:
     """Kill, fill, forbid and double; tell what was survived."""
     parser = argparse.ArgumentParser(
@@ -237,6 +250,7 @@ def main() -> int:
     )
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--commands", type=int, default=5)
+    parser.add_argument("--resumed", type=int, default=50, help="kills of what goes on")
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
     chance = random.Random(asked.seed)
@@ -256,6 +270,7 @@ def main() -> int:
                 print(f"  {writer}, {limit.__name__}: {refused(writer, good, target, limit)}")
         two_at_once(good, target)
         survived += kill_command(asked.commands, folder, chance)
+    survived += kill_resumed(asked.resumed, asked.seed) if asked.resumed else 0
     print(f"kills survived: {survived} of {survived}; {time.monotonic() - began:.0f} s")
     return 0
 

@@ -26,17 +26,56 @@ def study(
 ) -> Path:
     """Run the study, on some of the cores and in some environment."""
     methods = [word for name in METHODS if _is_there(name) for word in ("--method", name)]
-    words = [sys.executable, "-m", "umbra_bench.cli", "study", *scenarios, *methods, "--quick"]
+    words = ["study", *scenarios, *methods, "--quick"]
+    command([*words, "--results", str(folder)], cores, **more)
+    return folder
+
+
+def command(words: list[str], cores: int = 2, **more: str) -> None:
+    """Run a command, on some of the cores and in some environment."""
     own = os.sched_getaffinity(0)
     subprocess.run(
-        [*words, "--results", str(folder)],
+        [sys.executable, "-m", "umbra_bench.cli", *words],
         check=True,
         capture_output=True,
         cwd=ROOT,
         env={**os.environ, **more},
         preexec_fn=lambda: os.sched_setaffinity(0, sorted(own)[:cores]),
     )
+
+
+SWEEP = """scenario = "spring"
+methods = ["umbra", "pymunk"]
+steps = 200
+draws = 40
+seed = 3
+vary = [{ key = "forces[0].stiffness", random = { low = 1.0, high = 100.0 } }]
+"""
+
+
+def long_runs(folder: Path, cores: int = 2, **more: str) -> Path:
+    """A long run of two methods and a sweep, with their figures."""
+    folder.mkdir()
+    (folder.parent / "sweep.toml").write_text(SWEEP, encoding="utf-8")
+    drift = ["drift", "spring", "--method", "umbra", "--method", "rk4", "--steps", "1e5"]
+    for words in (drift, ["sweep", str(folder.parent / "sweep.toml")]):
+        command([*words, "--results", str(folder), "--output", str(folder)], cores, **more)
     return folder
+
+
+def shuffled(folder: Path) -> Path:
+    """The same in another order: the methods one by one, the steps in two goes, the sweep by workers."""
+    folder.mkdir()
+    places = ["--results", str(folder), "--output", str(folder)]
+    for method, steps in (("rk4", "1e5"), ("umbra", "12345"), ("umbra", "1e5")):
+        command(["drift", "spring", "--method", method, "--steps", steps, *places])
+    command(["sweep", str(folder.parent / "sweep.toml"), "--workers", "2", *places])
+    return folder
+
+
+def tables_and_figures(folder: Path) -> dict[str, bytes]:
+    """What long runs and sweeps end with, the kept states included."""
+    return {name: content for name, content in files(folder).items() if ".lock" not in name}
 
 
 def _is_there(method: str) -> bool:
@@ -110,17 +149,22 @@ def main() -> int:
             runs += 1
         pages = []
         for what in ("pages", "pages-again"):
-            command = [sys.executable, "-m", "umbra_bench.cli", "report", "--results", str(first)]
-            subprocess.run(
-                [*command, "--output", str(folder / what)],
-                check=True,
-                capture_output=True,
-                cwd=ROOT,
-            )
+            command(["report", "--results", str(first), "--output", str(folder / what)])
             pages.append(files(folder / what))
         compared += same(*pages, "figures and pages")
+        long = tables_and_figures(long_runs(folder / "long"))
+        others = {
+            "long runs and a sweep again": long_runs(folder / "long-again"),
+            "on one core and thread": long_runs(
+                folder / "long-core", cores=1, XLA_FLAGS="--xla_cpu_multi_thread_eigen=false"
+            ),
+            "in another order, in two goes, by two workers": shuffled(folder / "long-order"),
+        }
+        for what, other in others.items():
+            compared += same(long, tables_and_figures(other), what)
     print(
-        f"runs compared: {runs + 1} studies and 2 reports, {compared} files and tables the same; "
+        f"runs compared: {runs + 1} studies, 2 reports, {len(others) + 1} sets of long runs and a sweep, "
+        f"{compared} files and tables the same; "
         f"{time.monotonic() - began:.0f} s"
     )
     return 0

@@ -46,6 +46,10 @@ READERS = (
     "record",
     "closed_form",
     "comparison",
+    "drift",
+    "drift_figures",
+    "sweep/plan",
+    "sweep/work",
 )
 
 
@@ -119,6 +123,8 @@ def work(files: int, seed: int, folder: Path, keep: Path, only: str, after: str)
     }
     makers |= {name: functools.partial(inputs.results, study, name) for name in inputs.RESULTS}
     makers |= {"engines.parquet": functools.partial(inputs.engines, study)}
+    makers |= {"sweeps": inputs.sweeps, "sweeps/*.json": inputs.stamps}
+    makers |= {"drift/*.npz": functools.partial(inputs.long_runs, study)}
     names = [only] if only else [*SHARES][[*SHARES].index(after) + 1 if after else 0 :]
     for name in names:
         print("begin", name, flush=True)
@@ -171,8 +177,9 @@ def _search(kind: Any, path: Path, count: int, seed: str, keep: Path) -> tuple[C
 
 
 SHARES = {
-    "scenarios": 0.55,
-    "baselines": 0.15,
+    "scenarios": 0.35,
+    "sweeps": 0.15,
+    "baselines": 0.14,
     "claims.json": 0.05,
     "scenarios.json": 0.05,
     "environment.json": 0.03,
@@ -182,6 +189,10 @@ SHARES = {
     "skips.parquet": 0.01,
     "motion.parquet": 0.02,
     "energy.parquet": 0.02,
+    "drift.parquet": 0.02,
+    "drift_series.parquet": 0.02,
+    "drift/*.npz": 0.015,
+    "sweeps/*.json": 0.005,
     "engines.parquet": 0.01,
 }
 """Which part of the files is of which kind."""
@@ -191,6 +202,7 @@ def make_study(folder: Path) -> None:
     """A small good study, with a table of engines."""
     import polars as pl
 
+    from umbra_bench.drift import run_drift
     from umbra_bench.results import save_study, save_table
     from umbra_bench.scenario import load_scenario
     from umbra_bench.schemas import ENGINES_SCHEMA
@@ -208,6 +220,8 @@ def make_study(folder: Path) -> None:
         "velocity": "y",
     }
     numbers = {"position_order": 1.0, "energy_error_100": 0.1, "energy_error_60": 0.2}
+    run_drift(scenarios[0], ["umbra"], ["float64"], 2000, 0.01, folder)
+    run_drift(scenarios[0], ["rk4"], ["float32"], 300, 9.0, folder)  # diverges
     save_table(pl.DataFrame([{**row, **numbers}], ENGINES_SCHEMA), "engines", folder)
 
 

@@ -270,7 +270,8 @@ def sweep(
 def explain(cell: str, results: Path, baseline: Path | None) -> None:
     """Tell how a number of the results came about, and the command that makes it again.
 
-    CELL is SCENARIO/METHOD/PRECISION/DT/METRIC or SCENARIO/METHOD/PRECISION/QUANTITY/order.
+    CELL is SCENARIO/METHOD/PRECISION/DT/METRIC or SCENARIO/METHOD/PRECISION/QUANTITY/order, or
+    drift/SCENARIO/METHOD/PRECISION/DT for a long run. A sweep's command stands in sweeps/NAME.json.
     """
     from umbra_bench import explain as history
 

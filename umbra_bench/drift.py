@@ -8,10 +8,12 @@ interrupted, bit for bit.
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import time
 import zipfile
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import metadata
@@ -23,22 +25,29 @@ import polars as pl
 
 from umbra_bench.compiled import COMPILED_METHODS, CompiledRun
 from umbra_bench.drift_law import fit_drift_law
-from umbra_bench.errors import UmbraBenchError, hint
+from umbra_bench.errors import UmbraBenchError, hint, one_line
 from umbra_bench.methods import METHODS
 from umbra_bench.metrics import DIVERGENCE
 from umbra_bench.reference import Reference, certified_reference
-from umbra_bench.results import load_table, replacing, together, write_table
+from umbra_bench.results import (
+    alone_at,
+    is_there,
+    load_table,
+    read_sealed,
+    replacing,
+    together,
+    write_table,
+)
 from umbra_bench.scenario import Scenario, scenario_hash
-from umbra_bench.schemas import DRIFT_SCHEMA, DRIFT_SERIES_SCHEMA
+from umbra_bench.schemas import DRIFT_LINE, DRIFT_SCHEMA, DRIFT_SERIES_SCHEMA
 from umbra_bench.simulation import open_run
 from umbra_bench.system import build_system
 
 PER_DECADE = 12
+MOST_STEPS = 2**53
 KEEP_SECONDS = 10.0
 SLICE_SECONDS = 0.5
 """The loop returns so often, to say how far it is and to be interrupted."""
-
-_LINE = ["scenario", "method", "precision", "dt"]
 
 Listener = Callable[[str, int, int], None]
 
@@ -70,7 +79,7 @@ def run_drift(
 
     Raises:
         UmbraBenchError: a method that is none, a scenario without a conserved energy, a kept state
-            that is damaged or belongs to something else.
+            that is damaged or belongs to something else, another command that follows the same run.
     """
     names = [m for m in COMPILED_METHODS if METHODS[m].studied] if not methods else list(methods)
     for name in names:
@@ -94,10 +103,11 @@ def run_drift(
             listener(what, before + done, len(lines) * steps)
 
         run = _LongRun(scenario, reference, method, precision, dt, results / "drift")
-        run.take_up(restart)
-        run.go_on(steps, told)
-        series, row = run.tables()
-        _merge(series, row, results)
+        with alone_at(run.place):
+            run.take_up(restart)
+            run.go_on(steps, told)
+            series, row = run.tables()
+            _merge(series, row, results)
         rows.append(row)
     return pl.concat(rows)
 
@@ -124,6 +134,19 @@ class _Standing(NamedTuple):
     low: float = math.inf
     high: float = -math.inf
     seen: tuple[tuple[float, float, float, float], ...] = ()
+
+
+_DAMAGED = (
+    *(OSError, EOFError, MemoryError, TypeError, AttributeError, NotImplementedError, RuntimeError),
+    *(SyntaxError, OverflowError, zlib.error, zipfile.BadZipFile),
+)
+"""What readers of zip files and arrays raise of damaged ones."""
+
+
+def _arrays(content: bytes) -> dict[str, np.ndarray]:
+    """The arrays of an .npz file, none of which may hold objects."""
+    with np.load(io.BytesIO(content), allow_pickle=False) as kept:
+        return {name: kept[name] for name in kept.files}
 
 
 @dataclass
@@ -154,7 +177,7 @@ class _LongRun:
     @property
     def line(self) -> dict[str, Any]:
         names = self.scenario.name, self.method, self.precision, self.dt
-        return dict(zip(_LINE, names, strict=True))
+        return dict(zip(DRIFT_LINE, names, strict=True))
 
     @property
     def place(self) -> Path:
@@ -175,24 +198,46 @@ class _LongRun:
             self.place.unlink(missing_ok=True)
         if not self.place.is_file():
             return
+        content = read_sealed(self.place)
         try:
-            with np.load(self.place, allow_pickle=False) as kept:
-                key = str(kept["key"])
-                leaves = [kept[f"leaf{i}"] for i in range(len(self.standing.leaves))]
-                seen = tuple(tuple(row) for row in kept["seen"].tolist())
-                low, high = kept["interval"].tolist()
-                standing = _Standing(leaves, int(kept["steps"]), low, high, seen)
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            kept = _arrays(content)
+            key = str(kept["key"])
+            if key == self.key:
+                self.standing = self._standing(kept)
+        except (*_DAMAGED, KeyError, ValueError) as error:
+            reason = f"{type(error).__name__}: {one_line(str(error), 200)}"
             raise UmbraBenchError(
-                f"{self.place}: cannot be read ({type(error).__name__}); --restart begins anew"
+                f"{self.place}: cannot be read ({reason}); --restart begins anew"
             ) from None
         if key != self.key:
             raise UmbraBenchError(
                 f"{self.place}: was kept by another version or of another scenario than "
                 f"{self.scenario.name} is now; --restart begins anew"
             )
-        self.run.resume(leaves)
-        self.standing = standing
+        self.run.resume(self.standing.leaves)
+
+    def _standing(self, kept: dict[str, np.ndarray]) -> _Standing:
+        """What was kept, if it is such as this run keeps.
+
+        Raises:
+            ValueError, KeyError: it is not.
+        """
+        like = {f"leaf{i}": leaf for i, leaf in enumerate(self.standing.leaves)}
+        like |= {"steps": np.array(0), "interval": np.zeros(2)}
+        for name, expected in like.items():
+            if kept[name].dtype != expected.dtype or kept[name].shape != expected.shape:
+                raise ValueError(f"{name} is {kept[name].dtype} of shape {kept[name].shape}")
+        leaves = [kept[f"leaf{i}"] for i in range(len(self.standing.leaves))]
+        steps, seen = int(kept["steps"]), kept["seen"]
+        counted = int(leaves[-2])  # of the loop itself: the last leaves are steps and broken
+        if not 0 <= steps == counted <= MOST_STEPS:
+            raise ValueError(f"steps is {steps}, and the loop took {counted}")
+        if seen.dtype != float or seen.shape != (len(sample_steps(steps)), 4):
+            raise ValueError(f"seen is {seen.dtype} of shape {seen.shape}")
+        if seen[:, 0].tolist() != sample_steps(steps):
+            raise ValueError("seen has other samples than such a run takes")
+        low, high = kept["interval"].tolist()
+        return _Standing(leaves, steps, low, high, tuple(map(tuple, seen.tolist())))
 
     def keep(self) -> None:
         """Write where the run stands, whole or not at all."""
@@ -300,15 +345,12 @@ class _LongRun:
 def _merge(series: pl.DataFrame, law: pl.DataFrame, results: Path) -> None:
     """Put rows in the place of those of the same scenario, method, precision and step."""
     new = {"drift": (law, DRIFT_SCHEMA), "drift_series": (series, DRIFT_SERIES_SCHEMA)}
-    tables = {}
-    for name, (rows, schema) in new.items():
-        if (results / f"{name}.parquet").is_file():
-            old = load_table(name, results, schema).join(rows, on=_LINE, how="anti")
-            rows = pl.concat([old, rows])
-        tables[name] = rows.sort(_LINE, maintain_order=True)
-    with together(results, "drift") as fresh:
-        for name, rows in tables.items():
-            write_table(rows, name, fresh)
+    with together(results, "drift") as fresh:  # alone: what is read here is what is replaced
+        for name, (rows, schema) in new.items():
+            if is_there(results / f"{name}.parquet"):
+                old = load_table(name, results, schema).join(rows, on=DRIFT_LINE, how="anti")
+                rows = pl.concat([old, rows])
+            write_table(rows.sort(DRIFT_LINE, maintain_order=True), name, fresh)
 
 
 def print_drift(results: Path) -> None:

@@ -10,10 +10,11 @@ import polars as pl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from umbra_bench.errors import UmbraBenchError, one_line
 from umbra_bench.plots import CLIP, PRECISIONS, log_scale, look_of, save, styled
-from umbra_bench.results import load_table
+from umbra_bench.results import is_there, load_table
 from umbra_bench.scenario_tables import in_order
-from umbra_bench.schemas import DRIFT_SCHEMA, DRIFT_SERIES_SCHEMA
+from umbra_bench.schemas import DRIFT_LINE, DRIFT_SCHEMA, DRIFT_SERIES_SCHEMA
 from umbra_bench.wording import method_title
 
 
@@ -29,12 +30,20 @@ def load_long_runs(results: Path) -> list[LongRuns]:
     """What `umbra-bench drift` left, a bundle a scenario; none where no long run was made.
 
     Raises:
-        UmbraBenchError: as :func:`umbra_bench.results.load_table`.
+        UmbraBenchError: as :func:`umbra_bench.results.load_table`; a law without the samples of it.
     """
-    if not (results / "drift_series.parquet").is_file():
+    if not is_there(results / "drift_series.parquet"):
         return []
     laws = load_table("drift", results, DRIFT_SCHEMA)
     series = load_table("drift_series", results, DRIFT_SERIES_SCHEMA)
+    for row in laws.join(series, on=DRIFT_LINE, how="anti").select(DRIFT_LINE).to_dicts():
+        line = "/".join(map(str, row.values()))
+        raise UmbraBenchError(
+            one_line(
+                f"{results / 'drift.parquet'}: row {line}: has no samples in drift_series.parquet "
+                "beside it; run `umbra-bench drift` again"
+            )
+        )
     return [
         LongRuns(name, *(table.filter(pl.col("scenario") == name) for table in (laws, series)))
         for name in laws["scenario"].unique(maintain_order=True)

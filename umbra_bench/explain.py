@@ -22,7 +22,7 @@ from umbra_bench.metrics import (
     asymptotic_range,
 )
 from umbra_bench.results import RESULTS, load_environment, load_scenarios, load_table
-from umbra_bench.schemas import QUANTITIES
+from umbra_bench.schemas import DRIFT_LINE, DRIFT_SCHEMA, DRIFT_SERIES_SCHEMA, QUANTITIES
 from umbra_bench.wording import number
 
 WIDTH = 100
@@ -119,6 +119,9 @@ def explain(name: str, results: Path = RESULTS, baseline: Path | None = None) ->
     Raises:
         UmbraBenchError: results that are missing or cannot be read, or a cell that there is not.
     """
+    if name.startswith("drift/"):
+        history = _long_run_lines(name.removeprefix("drift/"), results)
+        return [part for text in history for part in _folded(text)]
     runs, orders = load_table("study", results), load_table("orders", results)
     cell = find_cell(name, runs)
     line = pl.col("scenario").eq(cell.scenario) & pl.col("method").eq(cell.method)
@@ -149,6 +152,34 @@ def explain(name: str, results: Path = RESULTS, baseline: Path | None = None) ->
         f"states: {reproduce_run(cell, row['steps'])}" for row in rows if row["dt"] == cell.step
     ]
     return [part for text in told for part in _folded(text)]
+
+
+def _long_run_lines(name: str, results: Path) -> Iterator[str]:
+    """The law of a long run, its samples, and the command that takes its steps again."""
+    rows = {
+        f"{row['scenario']}/{row['method']}/{row['precision']}/{row['dt']:g}": row
+        for row in load_table("drift", results, DRIFT_SCHEMA).to_dicts()
+    }
+    if name not in rows:
+        near = difflib.get_close_matches(name, rows, n=6, cutoff=0.0)
+        raise UmbraBenchError(
+            one_line(f"CELL 'drift/{name}': is no long run{hint(name, near, 'the nearest')}")
+        )
+    row = rows[name]
+    line = pl.all_horizontal(pl.col(key).eq(row[key]) for key in DRIFT_LINE)
+    series = load_table("drift_series", results, DRIFT_SERIES_SCHEMA).filter(line)
+    yield f"drift/{name}: {row['steps']} steps of {row['dt']!r} s{_divergence(row)}"
+    yield (
+        f"law: {row['law']}, rate {row['rate']:.6g} 1/s, exponent {row['exponent']:.4g} ± "
+        f"{row['standard_error']:.2g}; next likely: {row['runner_up']}, evidence {row['evidence']:.3g}"
+    )
+    yield "energy error in parts of the energy scale: at the step, least and most since the last one"
+    for sample in series.to_dicts():
+        error, low, high = (sample[key] for key in ("energy_error", "lowest", "highest"))
+        yield f"  step {sample['step']:<12d} {error:+.6e}  {low:+.6e}  {high:+.6e}"
+    words = ["umbra-bench", "drift", row["scenario"], "--method", row["method"], "--precision"]
+    words += [row["precision"], "--dt", repr(row["dt"]), "--steps", str(row["steps"]), "--restart"]
+    yield f"reproduce: {shlex.join(words)}"
 
 
 def _scenario_lines(cell: Cell, results: Path) -> Iterator[str]:

@@ -85,7 +85,7 @@ def together(folder: Path, name: str) -> Iterator[Path]:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with _alone_in(folder):
+        with alone_at(folder, PATIENCE):
             _put_in_place(folder)
             fresh = Path(tempfile.mkdtemp(dir=folder, prefix=f".{name}.new."))
             try:
@@ -102,11 +102,25 @@ def together(folder: Path, name: str) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
-    """Hold the folder's lock; the system lets go of it however this process ends."""
-    handle = os.open(folder, os.O_RDONLY)
+def alone_at(place: Path, patience: float = 0.0) -> Iterator[None]:
+    """Be the only command that writes a file, or into a folder.
+
+    The lock is the folder, or a file `.NAME.lock` that stays; the system lets go of it however this
+    process ends. What a command that was killed left of a file half written is removed.
+
+    Raises:
+        UmbraBenchError: another command holds it for longer than `patience`, s, or it cannot be written.
+    """
     try:
-        until = time.monotonic() + PATIENCE
+        if place.is_dir():
+            handle = os.open(place, os.O_RDONLY)
+        else:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            handle = os.open(place.with_name(f".{place.name}.lock"), os.O_RDWR | os.O_CREAT, 0o644)
+    except OSError as error:
+        raise UmbraBenchError(f"{place}: cannot be written: {error.strerror}") from None
+    try:
+        until = time.monotonic() + patience
         while True:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -114,9 +128,12 @@ def _alone_in(folder: Path) -> Iterator[None]:
             except BlockingIOError:
                 if time.monotonic() > until:
                     raise UmbraBenchError(
-                        f"{folder}: another command is writing there; try again when it is done"
+                        f"{place}: another command is writing there; try again when it is done"
                     ) from None
                 time.sleep(0.02)
+        if not place.is_dir():
+            for left in place.parent.glob(f".{glob.escape(place.name)}.{'?' * 8}"):
+                left.unlink(missing_ok=True)
         yield
     finally:
         os.close(handle)
@@ -133,12 +150,33 @@ def _put_in_place(folder: Path) -> None:
 
 
 def _seal(folder: Path, name: str) -> None:
-    lines = [
-        f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n"
-        for path in sorted(folder.iterdir())
-    ]
+    lines = [f"{_digest(path)}  {path.name}\n" for path in sorted(folder.iterdir())]
     seal = folder / f"{name}.sha256"
     seal.write_text("".join(lines), encoding="utf-8")
+
+
+def _digest(path: Path) -> str:
+    """The SHA-256 of a file of any size."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def is_there(path: Path) -> bool:
+    """Whether a file of results is decided: in place, or about to be put there."""
+    return bool(_places(path.parent, glob.escape(path.name)))
+
+
+def check_seal(path: Path) -> None:
+    """Refuse a table that is not what was written, without reading all of it at once.
+
+    Raises:
+        UmbraBenchError: as :func:`read_sealed`, `required`.
+    """
+    try:
+        digest = _digest(path)
+    except OSError as error:
+        raise UmbraBenchError(f"{path}: cannot be read: {error.strerror}") from None
+    _refuse_damaged(path, digest, required=True)
 
 
 def read_sealed(path: Path, *, required: bool = False) -> bytes:
@@ -150,18 +188,22 @@ def read_sealed(path: Path, *, required: bool = False) -> bytes:
         UmbraBenchError: it is missing, cannot be read or is not what was written.
     """
     content = _read(path)
-    digest, stated = hashlib.sha256(content).hexdigest(), _stated_digests(path)
+    _refuse_damaged(path, hashlib.sha256(content).hexdigest(), required)
+    return content
+
+
+def _refuse_damaged(path: Path, digest: str, required: bool) -> None:
+    stated = _stated_digests(path)
     if stated and digest not in stated:
         raise UmbraBenchError(
             f"{path}: is not what was written (see *.sha256 beside it): damaged, or of another run; "
-            "run the command that makes it again"
+            "remove it, and run the command that makes it again"
         )
     if required and not stated:
         raise UmbraBenchError(
             f"{path}: has no seal (a line in a *.sha256 beside it), so damage could not be told; "
-            "run the command that makes it again"
+            "remove it, and run the command that makes it again"
         )
-    return content
 
 
 def _stated_digests(path: Path) -> set[str]:

@@ -288,13 +288,24 @@ def load_scenario(name_or_path: str | Path, folder: Path | None = None) -> Scena
         ScenarioError: the file is missing, is not TOML or states something that is not allowed.
     """
     path = find_scenario(name_or_path, folder)
+    document = read_toml(path)
+    try:
+        return parse_scenario(document, path)
+    except ValueError as error:
+        raise ScenarioError(one_line(f"{path}: {error}")) from None
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file, of a scenario or a sweep, of a size and a depth that a parser can bear.
+
+    Raises:
+        ScenarioError: it cannot be read or is not such a file.
+    """
     try:
         with path.open("rb") as file:
-            content = file.read(MAXIMUM_BYTES + 1)
+            return _toml(file.read(MAXIMUM_BYTES + 1))
     except OSError as error:
         raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from None
-    try:
-        return parse_scenario(_toml(content), path)
     except ValueError as error:
         raise ScenarioError(one_line(f"{path}: {error}")) from None
 
@@ -374,7 +385,7 @@ def find_scenario(name_or_path: str | Path, folder: Path | None = None) -> Path:
     named = [] if is_path else [folder] if folder else scenario_folders()
     named += [directory / "gate" for directory in named]
     for path in (*(directory / f"{given}.toml" for directory in named), given):
-        if _is_file(path):
+        if is_file(path):
             return path
     if is_path:
         raise ScenarioError(f"{given}: there is no such scenario file")
@@ -385,7 +396,8 @@ def find_scenario(name_or_path: str | Path, folder: Path | None = None) -> Path:
     )
 
 
-def _is_file(path: Path) -> bool:
+def is_file(path: Path) -> bool:
+    """Whether a path, however odd, is that of a file."""
     try:
         return path.is_file()
     except (OSError, ValueError):  # a name that no file can have

@@ -90,6 +90,9 @@ ENGINES_SCHEMA: dict[str, Any] = {
     "energy_error_60": pl.Float64,
 }
 
+DRIFT_LINE = ("scenario", "method", "precision", "dt")
+"""What tells long runs apart."""
+
 DRIFT_SERIES_SCHEMA: dict[str, Any] = {
     "scenario": pl.String,
     "method": pl.String,

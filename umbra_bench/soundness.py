@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from umbra_bench.errors import UmbraBenchError, one_line, short
 from umbra_bench.methods import PRECISIONS
 from umbra_bench.schemas import (
+    DRIFT_LINE,
     ENERGY_SCHEMA,
     MOTION_SCHEMA,
     ORDERS_SCHEMA,
@@ -38,6 +39,8 @@ _KEYS: dict[str, tuple[str, ...]] = {
     "study": ("scenario", "method", "precision", "dt"),
     "orders": ("scenario", "method", "precision", "quantity"),
     "references": ("scenario",),
+    "drift": DRIFT_LINE,
+    "drift_series": (*DRIFT_LINE, "step"),
 }
 """What tells the rows of a table apart: no two are alike in these columns."""
 

@@ -13,6 +13,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from umbra_bench.plots import log_scale, look_of, save, styled
+from umbra_bench.results import check_seal
 from umbra_bench.sweep.plan import Plan
 from umbra_bench.wording import method_title
 
@@ -29,6 +30,7 @@ def draw_sweep(plan: Plan, table: Path, folder: Path) -> list[Path]:
     Returns:
         The figures written, without their endings, svg and png; none where no run has an energy error.
     """
+    check_seal(table)
     rows = pl.read_parquet(table, glob=False)
     if rows["energy_error_max"].is_null().all():
         return []

@@ -11,8 +11,7 @@ import functools
 import hashlib
 import math
 import re
-import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -20,9 +19,17 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from umbra_bench.errors import ScenarioError, UmbraBenchError, short
+from umbra_bench.errors import ScenarioError, UmbraBenchError, hint, one_line, short
 from umbra_bench.methods import BROUGHT, PRECISIONS, find_method
-from umbra_bench.scenario import Scenario, find_scenario, load_scenario, parse_scenario
+from umbra_bench.scenario import (
+    Number,
+    Scenario,
+    find_scenario,
+    is_file,
+    load_scenario,
+    parse_scenario,
+    read_toml,
+)
 
 STEP = "dt"
 """The key that varies the step size, s, in place of a number of the scenario."""
@@ -30,7 +37,17 @@ STEP = "dt"
 MOST_RUNS = 10**12
 """The most runs of a sweep."""
 
-_Finite = Annotated[float, Field(allow_inf_nan=False)]
+MOST_VALUES = 10**6
+"""The most values of one key: they are held in memory."""
+
+MOST_KEYS = 64
+
+MOST_STEPS = 10**15
+"""The most steps of a run: a year of them, and no whole number overflows."""
+
+MOST_TRIED = 10**5
+"""So many bodies are read, at most, to try all values of a key before anything runs: some seconds."""
+
 _Count = Annotated[int, Field(strict=True, ge=1, le=10**9)]
 
 
@@ -41,9 +58,9 @@ class _Table(BaseModel):
 class Range(_Table):
     """Numbers from start to stop, both included."""
 
-    start: _Finite
-    stop: _Finite
-    count: _Count
+    start: Number
+    stop: Number
+    count: Annotated[int, Field(strict=True, ge=1, le=MOST_VALUES)]
     spacing: Literal["linear", "log"] = "linear"
 
     @property
@@ -55,8 +72,8 @@ class Range(_Table):
 class Random(_Table):
     """Numbers drawn between low and high."""
 
-    low: _Finite
-    high: _Finite
+    low: Number
+    high: Number
     distribution: Literal["uniform", "log-uniform"] = "uniform"
 
     def at(self, u: float) -> float:
@@ -69,8 +86,8 @@ class Random(_Table):
 class Variation(_Table):
     """One number of the scenario and the values that it takes."""
 
-    key: Annotated[str, Field(strict=True, min_length=1)]
-    values: tuple[_Finite, ...] | None = Field(default=None, min_length=1)
+    key: Annotated[str, Field(strict=True, min_length=1, max_length=200)]
+    values: tuple[Number, ...] | None = Field(default=None, min_length=1, max_length=MOST_VALUES)
     range: Range | None = None
     random: Random | None = None
 
@@ -82,15 +99,18 @@ class Variation(_Table):
 
 class _File(_Table):
     scenario: Annotated[str, Field(strict=True, min_length=1)]
-    methods: tuple[str, ...] = Field(min_length=1)
-    vary: tuple[Variation, ...] = Field(min_length=1)
+    methods: tuple[str, ...] = Field(min_length=1, max_length=1000)
+    vary: tuple[Variation, ...] = Field(min_length=1, max_length=MOST_KEYS)
     precisions: tuple[Literal["float32", "float64"], ...] = Field(
         default=("float64",), min_length=1
     )
-    dt: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = None
-    steps: Annotated[int, Field(strict=True, ge=1, le=2**62)] | None = None
+    dt: Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)] | None = None
+    steps: Annotated[int, Field(strict=True, ge=1, le=MOST_STEPS)] | None = None
     draws: _Count = 1
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = 0
+
+
+_TABLES: dict[int | str, type[_Table]] = {"vary": Variation, "range": Range, "random": Random}
 
 
 @dataclass(frozen=True)
@@ -187,9 +207,22 @@ class Plan:
         return Path(f"{self.document['name']}.toml")
 
     def step(self, values: tuple[float, ...], scenario: Scenario) -> tuple[float, int]:
-        """The step of a run, s, and how many it takes: by default what fits in the duration."""
+        """The step of a run, s, and how many it takes: by default what fits in the duration.
+
+        Raises:
+            ScenarioError: no precision can take such a step, or so many.
+        """
         given = dict(zip(self.keys, values, strict=True)).get(STEP, self.file.dt)
         dt = scenario.default_step if given is None else given
+        if not _is_held(dt):
+            raise ScenarioError(
+                f"{scenario.name}: dt = {dt!r}: expected a step > 0 s that a float32 holds"
+            )
+        if scenario.duration / dt > MOST_STEPS and self.file.steps is None:
+            raise ScenarioError(
+                f"{scenario.name}: dt = {dt!r}: {scenario.duration / dt:.3g} steps in the duration of "
+                f"{scenario.duration!r} s; at most {MOST_STEPS} are allowed"
+            )
         return dt, self.file.steps or max(1, round(scenario.duration / dt))
 
     @functools.cached_property
@@ -217,35 +250,40 @@ class Plan:
 def load_plan(path: Path) -> Plan:
     """Read and check a sweep file.
 
-    Every value that a key can take is tried, one key at a time, before anything runs.
+    Every value that a key can take is tried, one key at a time, before anything runs; of very many
+    the extremes.
 
     Raises:
         UmbraBenchError: one line that names the file, the key and the value.
     """
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UmbraBenchError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise UmbraBenchError(f"{path}: is not a text file in UTF-8, as TOML must be") from None
-    except (ValueError, RecursionError) as error:
-        raise UmbraBenchError(f"{path}: is not valid TOML: {error}") from None
-    try:
-        file = _File.model_validate(document)
+        file = _File.model_validate(read_toml(path))
+        complaint = next(_complaints(file), None)
     except ValidationError as error:
-        fault = error.errors(include_url=False)[0]
-        key = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in fault["loc"]).lstrip(".")
-        raise UmbraBenchError(f"{path}: {key} = {short(fault['input'])}: {fault['msg']}") from None
-    for complaint in _complaints(file):
-        raise UmbraBenchError(f"{path}: {complaint}")
-    plan = Plan(path.stem, str(path), _scenario_document(file.scenario, path), file)
-    if plan.runs > MOST_RUNS:
-        raise UmbraBenchError(f"{path}: {plan.runs} runs; at most {MOST_RUNS} are allowed")
-    _try_values(plan, path)
+        complaint = _explain(error)
+    if complaint is None:
+        plan = Plan(path.stem, str(path), _scenario_document(file.scenario, path), file)
+        complaint = next(_complaints_of_values(plan), None)
+    if complaint is not None:
+        raise UmbraBenchError(one_line(f"{path}: {complaint}"))
     return plan
 
 
-def _complaints(file: _File) -> Any:
+def _explain(error: ValidationError) -> str:
+    """The first fault of a file in one line: key, value, what is allowed."""
+    faults = error.errors(include_url=False)
+    fault = next((f for f in faults if f["type"] == "extra_forbidden"), faults[0])
+    loc = fault["loc"]
+    parts = (f"[{p}]" if isinstance(p, int) else f".{short(p)[1:-1]}" for p in loc)
+    key = "".join(parts).removeprefix(".") or "''"
+    if fault["type"] == "extra_forbidden":
+        table = next((_TABLES[p] for p in reversed(loc[:-1]) if p in _TABLES), _File)
+        return f"{key}: unknown key{hint(loc[-1], table.model_fields, 'allowed keys')}"
+    given = "" if fault["type"] == "missing" else f" = {short(fault['input'])}"
+    return f"{key}{given}: {fault['msg']}"
+
+
+def _complaints(file: _File) -> Iterator[str]:
     keys = [variation.key for variation in file.vary]
     for i, v in enumerate(file.vary):
         where = f"vary[{i}]"
@@ -279,29 +317,45 @@ def _complaints(file: _File) -> Any:
 def _scenario_document(name: str, path: Path) -> dict[str, Any]:
     """The scenario that a sweep names: beside the sweep's file, else in the project's scenarios."""
     beside = path.parent / name
-    found = beside if name.endswith(".toml") and beside.is_file() else name
-    document = load_scenario(find_scenario(found)).model_dump(mode="json", exclude_none=True)
+    try:
+        found = beside if name.endswith(".toml") and is_file(beside) else name
+        scenario = load_scenario(find_scenario(found))
+    except ScenarioError as error:
+        raise UmbraBenchError(one_line(f"{path}: scenario = {short(name)}: {error}")) from None
+    document = scenario.model_dump(mode="json", exclude_none=True)
     # A varied scenario need not have the closed form nor keep the budgets of its model.
     return {k: v for k, v in document.items() if k not in ("closed_form", "budget")}
 
 
-def _try_values(plan: Plan, path: Path) -> None:
+def _complaints_of_values(plan: Plan) -> Iterator[str]:
+    if plan.runs > MOST_RUNS:
+        yield f"vary: {short(plan.runs)} runs; at most {MOST_RUNS} are allowed"
     base = list(plan.values(0))
     for place, variation in enumerate(plan.file.vary):
-        ends = (variation.random.low, variation.random.high) if variation.random else variation.grid
-        for value in ends:
+        grid = variation.grid
+        if variation.random:
+            grid = (variation.random.low, variation.random.high)
+        elif len(grid) * len(plan.document["bodies"]) > MOST_TRIED:
+            grid = (min(grid), max(grid))
+        for value in grid:
             values = (*base[:place], value, *base[place + 1 :])
-            where = f"{path}: vary[{place}]: {variation.key} = {value!r}"
+            where = f"vary[{place}]: {short(variation.key)[1:-1]} = {value!r}"
             try:
-                dt, _ = plan.step(values, plan.scenario(values))
+                scenario = plan.scenario(values)
+                if variation.key == STEP or STEP not in plan.keys:  # no fault of the other keys
+                    plan.step(values, scenario)
             except KeyError as error:
-                raise UmbraBenchError(f"{where}: {error.args[0]}") from None
+                yield f"{where}: {error.args[0]}"
             except ScenarioError as error:
-                raise UmbraBenchError(f"{where}: {str(error).partition(': ')[2]}") from None
-            if variation.key == STEP and not all(
-                0.0 < np.dtype(p).type(dt) < math.inf for p in PRECISIONS
-            ):
-                raise UmbraBenchError(f"{where}: expected a step > 0 s that a float32 holds")
+                reason = str(error).partition(": ")[2]
+                yield f"{where}: {reason.removeprefix(f'{STEP} = {value!r}: ')}"
+
+
+@functools.lru_cache(maxsize=1024)
+def _is_held(dt: float) -> bool:
+    """Whether every precision can take such a step."""
+    with np.errstate(over="ignore", under="ignore"):
+        return all(0.0 < float(np.dtype(p).type(dt)) < math.inf for p in PRECISIONS)
 
 
 def _uniform(seed: int, place: int, draw: int) -> float:

@@ -7,8 +7,12 @@ carries no results, a worker that dies costs its task, and what is written need 
 
 from __future__ import annotations
 
+import hashlib
 import importlib
+import io
 import os
+import shlex
+import shutil
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -24,7 +28,15 @@ from umbra_bench.errors import EngineFailed, ScenarioError, UmbraBenchError, Uns
 from umbra_bench.jax_settings import keep_compiled_code
 from umbra_bench.metrics import DIVERGENCE
 from umbra_bench.reference import observe_all
-from umbra_bench.results import load_json, replacing, save_json
+from umbra_bench.results import (
+    alone_at,
+    check_seal,
+    is_there,
+    load_json,
+    replacing,
+    save_json,
+    together,
+)
 from umbra_bench.scenario import Scenario
 from umbra_bench.simulation import open_run
 from umbra_bench.state import kinetic_energy
@@ -226,27 +238,34 @@ def run_sweep(
         listener: told of every finished task.
 
     Raises:
-        UmbraBenchError: a folder that holds another sweep or cannot be written, no such scheduler.
+        UmbraBenchError: a folder that holds another sweep or cannot be written, another command that
+            runs this one, a table that was damaged, no such scheduler.
     """
     table = results.resolve() / "sweeps" / f"{plan.name}.parquet"
-    folder = table.with_suffix("")
-    _claim(plan, table, restart)
-    if table.is_file():
-        return table
-    parts = {task: folder / f"{task.number:09}.parquet" for task in plan.tasks}
-    left = [task for task, part in parts.items() if not part.is_file()]
-    done = len(parts) - len(left)
-    if done:
-        listener("found from before", done, len(parts))
-    where = _on_dask(workers, scheduler) if workers or scheduler else _here
-    for task in where(plan, left, folder):
-        done += 1
-        listener(f"{task.method} {task.precision}, run {task.last}", done, len(parts))
-    join_parts(list(parts.values()), table)
-    for part in parts.values():
-        part.unlink()
-    folder.rmdir()
+    with alone_at(table):
+        _claim(plan, table, restart)
+        if is_there(table):
+            check_seal(table)
+        else:
+            where = _on_dask(workers, scheduler) if workers or scheduler else _here
+            _finish(plan, table, where, listener)
+        # Not before the table is there; a command that was killed in between comes by here again.
+        shutil.rmtree(_parts_folder(table), ignore_errors=True)
     return table
+
+
+def _finish(plan: Plan, table: Path, where: Where, listener: Listener) -> None:
+    """Run what is left, and join the parts."""
+    folder = _parts_folder(table)
+    done, total = _sound_parts(folder), len(plan.tasks)
+    left = [task for task in plan.tasks if task.number not in done]
+    if done:
+        listener("found from before", len(done), total)
+    for count, task in enumerate(where(plan, left, folder), total - len(left) + 1):
+        listener(f"{task.method} {task.precision}, run {task.last}", count, total)
+    parts = sorted(folder.glob("*.parquet"))
+    with together(table.parent, plan.name) as fresh:
+        join_parts(parts, fresh / table.name)
 
 
 def join_parts(parts: list[Path], table: Path) -> None:
@@ -255,12 +274,33 @@ def join_parts(parts: list[Path], table: Path) -> None:
         pl.scan_parquet(parts, glob=False).sink_parquet(temporary)
 
 
+def _parts_folder(table: Path) -> Path:
+    return table.with_suffix("")
+
+
 def write_part(plan: Plan, task: Task, folder: Path) -> int:
-    """Run a task and write its part; return the number of rows."""
-    rows = run_task(plan, task)
-    with replacing(folder / f"{task.number:09}.parquet") as temporary:
-        rows.write_parquet(temporary)
+    """Run a task and write its part; return the number of rows.
+
+    The name of a part holds the task's number and the SHA-256 of its bytes.
+    """
+    rows, file = run_task(plan, task), io.BytesIO()
+    rows.write_parquet(file)
+    name = f"{task.number:09}-{hashlib.sha256(file.getvalue()).hexdigest()}.parquet"
+    with replacing(folder / name) as temporary:
+        temporary.write_bytes(file.getvalue())
     return rows.height
+
+
+def _sound_parts(folder: Path) -> set[int]:
+    """The numbers of the tasks whose parts are as they were written; damaged parts are removed."""
+    numbers = set()
+    for part in folder.glob("*.parquet"):
+        number, _, digest = part.stem.partition("-")
+        if digest == hashlib.sha256(part.read_bytes()).hexdigest() and number.isdigit():
+            numbers.add(int(number))
+        else:
+            part.unlink()
+    return numbers
 
 
 def _on_worker(plan: Plan, task: Task, folder: Path) -> int:
@@ -271,16 +311,21 @@ def _on_worker(plan: Plan, task: Task, folder: Path) -> int:
 
 def _claim(plan: Plan, table: Path, restart: bool) -> None:
     """Make sure that what lies in a sweep's place belongs to it."""
-    stamp, folder = table.with_suffix(".json"), table.with_suffix("")
+    stamp = table.with_suffix(".json")
     if restart:
-        for old in (table, stamp, *folder.glob("*.parquet")):
+        shutil.rmtree(_parts_folder(table), ignore_errors=True)
+        for old in (table, table.with_suffix(".sha256"), stamp):
             old.unlink(missing_ok=True)
     if not stamp.is_file():
-        save_json({"sweep": plan.name, "fingerprint": plan.fingerprint}, stamp)
-    elif load_json(stamp).get("fingerprint") != plan.fingerprint:
+        command = shlex.join(["umbra-bench", "sweep", plan.path, "--restart"])
+        stated = {"sweep": plan.name, "fingerprint": plan.fingerprint, "reproduce": command}
+        save_json(stated, stamp)
+        return
+    known = load_json(stamp)
+    if not isinstance(known, dict) or known.get("fingerprint") != plan.fingerprint:
         raise UmbraBenchError(
-            f"{stamp}: holds another sweep of the name {plan.name!r} than {plan.path} states now; "
-            "use --restart to run it anew, or another --results"
+            f"{stamp}: holds another sweep of the name {plan.name!r} than {plan.path} states "
+            "now; use --restart to run it anew, or another --results"
         )
 
 
