@@ -14,6 +14,7 @@ from test_results import small_study, tiny_study
 from umbra_bench.drift import run_drift
 from umbra_bench.drift_figures import load_long_runs
 from umbra_bench.errors import ScenarioError, UmbraBenchError
+from umbra_bench.report import load_scenario_tables
 from umbra_bench.results import load_json, load_table, save_study, save_table
 from umbra_bench.scenario import MAXIMUM_BYTES, load_scenario
 from umbra_bench.schemas import ENGINES_SCHEMA
@@ -218,6 +219,13 @@ def test_a_document_that_is_not_sound_json(content: bytes, said: str, tmp_path: 
     with pytest.raises(UmbraBenchError, match=said) as caught:
         load_json(_put(tmp_path / "a.json", content))
     assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_scenario_without_its_reference_is_refused(study: Path, tmp_path: Path) -> None:
+    here = inputs.unsealed_copy(study, tmp_path / "here")
+    save_table(load_table("references", here).clear(), "references", here)
+    with pytest.raises(UmbraBenchError, match=r"references\.parquet: holds no reference of"):
+        load_scenario_tables(here)
 
 
 # Sweeps and long runs -----------------------------------------------------------------------------

@@ -33,7 +33,7 @@ from umbra_bench.schemas import DRIFT_SCHEMA
 from umbra_bench.sweep import plan, work
 
 NOBODY = 65534
-LONGEST = 0.5
+LONGEST = {"sweep": 1.5, "drift": 0.5}
 """The latest moment of a kill after the work began, s."""
 SWEEP = """
 scenario = "spring"
@@ -157,7 +157,7 @@ def kill(name: str, kills: int, folder: Path, chance: random.Random) -> int:
         process, said = child(command, target)
         word = said.readline().strip()
         equal(name, word, "working")
-        time.sleep(LONGEST * chance.random())
+        time.sleep(LONGEST[name] * chance.random())
         os.kill(process, signal.SIGKILL)
         _, status = os.waitpid(process, 0)
         said.close()

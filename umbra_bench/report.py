@@ -123,6 +123,11 @@ def _bundles(
     energy: pl.DataFrame,
     scenarios: dict[str, Any],
 ) -> list[ScenarioTables]:
+    for name in sorted({*scenarios} - {*references["scenario"]}):
+        raise UmbraBenchError(
+            f"references.parquet: holds no reference of scenario {name!r} of the tables beside it; "
+            "run `umbra-bench study` again"
+        )
     for name in references["scenario"]:
         if name not in scenarios:
             raise UmbraBenchError(

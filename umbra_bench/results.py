@@ -335,7 +335,7 @@ def load_scenarios(folder: Path = RESULTS) -> dict[str, Any]:
     """
     path = folder / "scenarios.json"
     described = load_json(path)
-    if not isinstance(described, dict):
+    if not (isinstance(described, dict) and described):
         raise UmbraBenchError(f"{path}: expected a table of scenarios by name")
     for name, document in described.items():
         if not isinstance(document, dict):
