@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from umbra_bench.errors import UmbraBenchError, one_line
 from umbra_bench.plots import CLIP, PRECISIONS, log_scale, look_of, save, styled
 from umbra_bench.results import is_there, load_table
-from umbra_bench.scenario_tables import in_order
 from umbra_bench.schemas import DRIFT_LINE, DRIFT_SCHEMA, DRIFT_SERIES_SCHEMA
 from umbra_bench.wording import method_title
 
@@ -81,11 +80,7 @@ def draw_long_runs(runs: LongRuns) -> Figure:
             panels.append(axes)
             log_scale(axes, "x")
             log_scale(axes, "y")
-            axes.tick_params(labelleft=not place)
-            of_precision = laws.filter(pl.col("precision") == precision).to_dicts()
-            for row in sorted(
-                of_precision, key=lambda row: in_order(laws["method"]).index(row["method"])
-            ):
+            for row in laws.filter(pl.col("precision") == precision).to_dicts():
                 line = series.filter(
                     (pl.col("method") == row["method"])
                     & (pl.col("precision") == precision)

@@ -33,9 +33,6 @@ DECISIVE = 10.0
 NEAR = 0.15
 """How far the exponent may be from that of the law of powers that bears its name."""
 
-SLIGHT = 0.05
-"""An envelope that grows by a larger power than this, and certainly, is not bounded."""
-
 _POWERS = {"bounded": 0.0, "random walk": 0.5, "linear": 1.0}
 
 
@@ -90,8 +87,7 @@ def fit_drift_law(times: np.ndarray, errors: np.ndarray) -> DriftLaw:
     best, second = sorted(criteria, key=lambda law: criteria[law])[:2]
     evidence = criteria[second] - criteria[best]
     law = best if evidence >= DECISIVE else "undecided"
-    apart = abs(slope.slope - _POWERS[law]) if law in _POWERS else 0.0
-    if apart > (max(SLIGHT, 3.0 * slope.stderr) if law == "bounded" else NEAR):
+    if law in _POWERS and abs(slope.slope - _POWERS[law]) > NEAR:
         law = "power"
     rate = rates[best] if law in ("linear", "exponential") else math.nan
     return DriftLaw(law, rate, slope.slope, slope.stderr, evidence, second)

@@ -20,17 +20,8 @@ from plotly.offline import get_plotlyjs
 
 from umbra_bench import findings
 from umbra_bench.drift_figures import LongRuns, largest
-from umbra_bench.overview import overview
-from umbra_bench.plots import envelope, look_of
-from umbra_bench.scenario_tables import (
-    ScenarioTables,
-    at_default_step,
-    energy_fate,
-    line_of,
-    methods_of,
-    order_text,
-    own_precision,
-)
+from umbra_bench.overview import energy_fate, overview
+from umbra_bench.plots import ScenarioTables, look_of, methods_of
 from umbra_bench.wording import method_title, number
 
 POINTS = 160
@@ -119,14 +110,15 @@ def _matrix(tables: Sequence[ScenarioTables]) -> list[dict[str, Any]]:
     for method in methods_of(tables):
         cells: list[dict[str, Any] | None] = []
         for t in tables:
-            run = at_default_step(t, method, own_precision(t, method))
+            run = findings.at_default_step(t, method, "float64")
+            run = run or findings.at_default_step(t, method, "float32")
             if run is None:
                 cells.append(None)
                 continue
             precision = run["precision"]
             cells.append(
                 {
-                    "order": order_text(t, method, precision, "position"),
+                    "order": findings.order_text(t, method, precision, "position"),
                     "energy": run["energy_error_max"],
                     "fate": energy_fate(run, t),
                 }
@@ -151,7 +143,7 @@ def explorer_data(tables: Sequence[ScenarioTables]) -> dict[str, Any]:
 def _long_runs_data(runs: LongRuns) -> list[dict[str, Any]]:
     lines = []
     for row in runs.laws.to_dicts():
-        series = line_of(runs.series, row["method"], row["precision"])
+        series = _of(runs.series, row["method"], row["precision"])
         series = series.filter(pl.col("dt") == row["dt"])
         lines.append(
             {
@@ -199,9 +191,9 @@ def _scenario_data(t: ScenarioTables) -> dict[str, Any]:
         _line_data(t, method, precision, body)
         for method in t.methods
         for precision in ("float64", "float32")
-        if not line_of(t.runs, method, precision).is_empty()
+        if not _of(t.runs, method, precision).is_empty()
     ]
-    truth = line_of(t.motion, "reference", "float64").filter(pl.col("body") == body)
+    truth = _of(t.motion, "reference", "float64").filter(pl.col("body") == body)
     return {
         "name": t.scenario["name"],
         "title": t.scenario["title"],
@@ -219,14 +211,14 @@ def _scenario_data(t: ScenarioTables) -> dict[str, Any]:
 
 
 def _line_data(t: ScenarioTables, method: str, precision: str, body: str) -> dict[str, Any]:
-    runs = line_of(t.runs, method, precision).sort("dt")
-    energy = line_of(t.energy, method, precision).sort("t")
-    motion = line_of(t.motion, method, precision).filter(pl.col("body") == body)
+    runs = _of(t.runs, method, precision).sort("dt")
+    energy = _of(t.energy, method, precision).sort("t")
+    motion = _of(t.motion, method, precision).filter(pl.col("body") == body)
     data: dict[str, Any] = {
         "method": method,
         "precision": precision,
         "orders": {
-            quantity: order_text(t, method, precision, quantity)
+            quantity: findings.order_text(t, method, precision, quantity)
             for quantity in ("position", "velocity", "energy")
         },
         "dt": runs["dt"].to_list(),
@@ -236,8 +228,11 @@ def _line_data(t: ScenarioTables, method: str, precision: str, body: str) -> dic
         "diverged": runs["diverged_at"].to_list(),
     }
     if not energy.is_empty():
-        time, crests = envelope(energy)
-        data["over_time"] = {"t": _packed(time), "error": _packed(crests)}
+        chosen = _chosen(energy.height)
+        data["over_time"] = {
+            "t": _packed(energy["t"].to_numpy()[chosen]),
+            "error": _packed(energy["energy_error"].to_numpy()[chosen]),
+        }
     if not motion.is_empty():
         data["motion"] = _motion_data(motion)
     return data
@@ -249,6 +244,10 @@ def _motion_data(motion: pl.DataFrame) -> dict[str, str]:
     return {
         name: _packed(motion[name].to_numpy()[chosen]) for name in ("t", "x", "y", "angle", "vx")
     }
+
+
+def _of(table: pl.DataFrame, method: str, precision: str) -> pl.DataFrame:
+    return table.filter((pl.col("method") == method) & (pl.col("precision") == precision))
 
 
 def _chosen(count: int) -> np.ndarray:

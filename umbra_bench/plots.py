@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,17 +23,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
+from umbra_bench.methods import METHODS
 from umbra_bench.metrics import FLOOR_FACTOR
 from umbra_bench.results import replacing
-from umbra_bench.scenario_tables import (
-    ScenarioTables,
-    line_of,
-    methods_of,
-    one_precision,
-    order_text,
-    own_precision,
-)
-from umbra_bench.wording import method_title, number
+from umbra_bench.wording import method_title, order_text
 
 
 class Look(NamedTuple):
@@ -63,6 +57,24 @@ LOOKS: dict[str, Look] = {
 _UNKNOWN = Look("#444444", (0, (5, 1, 1, 1, 1, 1)), "h")
 
 
+def methods_of(tables: Sequence[ScenarioTables]) -> list[str]:
+    """All methods of some results, in the order of the table of methods."""
+    return in_order(method for t in tables for method in t.methods)
+
+
+def in_order(methods: Iterable[str]) -> list[str]:
+    """Methods, each once, in the order of the table of methods; unknown ones last."""
+    found = set(methods)
+    return [name for name in METHODS if name in found] + sorted(found - set(METHODS))
+
+
+def one_precision(table: pl.DataFrame, method: str) -> pl.DataFrame:
+    """A method's rows in float64, or in the only precision that it has."""
+    rows = table.filter(pl.col("method") == method)
+    precisions = rows["precision"].unique()
+    return rows.filter(pl.col("precision") == precisions.max()) if len(precisions) else rows
+
+
 def look_of(method: str) -> Look:
     """How a method is drawn; one that nobody thought of is grey."""
     return LOOKS.get(method, _UNKNOWN)
@@ -72,11 +84,34 @@ PRECISIONS = ("float64", "float32")
 CLIP = 1e6
 """A log axis ends at this multiple of the motion's scale: what is beyond has diverged."""
 
-DIVERGED = "diverged"
-"""The mark of a line that shows where runs diverged, and no error."""
-
 WINDOWS = 120
 """A run's energy error is drawn as its largest value in each of this many parts."""
+
+
+@dataclass(frozen=True)
+class ScenarioTables:
+    """Everything in the results that belongs to one scenario.
+
+    `before`: the same of another run, drawn beneath as wide pale lines.
+    """
+
+    scenario: dict[str, Any]
+    runs: pl.DataFrame
+    orders: pl.DataFrame
+    reference: dict[str, Any]
+    motion: pl.DataFrame
+    energy: pl.DataFrame
+    before: ScenarioTables | None = None
+
+    @property
+    def methods(self) -> list[str]:
+        """The methods that were run, in the order of the table of methods."""
+        return in_order(self.runs["method"])
+
+    @property
+    def default_step(self) -> float:
+        """The step at which motion and energy over time are kept, s."""
+        return float(self.motion["dt"][0])
 
 
 def draw_error(tables: ScenarioTables) -> Figure:
@@ -111,7 +146,7 @@ def draw_energy_over_time(tables: ScenarioTables) -> Figure:
             log_scale(axes, "y")
             axes.set_title(f"{precision}, dt = {tables.default_step:g} s", loc="left")
             for method in tables.methods:
-                series = line_of(tables.energy, method, precision).sort("t")
+                series = _line(tables.energy, method, precision).sort("t")
                 if series.is_empty():
                     continue
                 axes.set_xlim(0.0, series["t"][-1])
@@ -195,12 +230,12 @@ def draw_motion(tables: ScenarioTables) -> Figure:
         FigureCanvasAgg(figure)
         axes = figure.add_axes((0.105, 0.13, 0.525, 0.78))
         body = tables.scenario["bodies"][0]["name"]
-        truth = line_of(tables.motion, "reference", "float64").filter(pl.col("body") == body)
+        truth = _line(tables.motion, "reference", "float64").filter(pl.col("body") == body)
         x, y = picture.curve(truth, math.inf)
         size = 1e6 * max(float(np.nanmax(np.abs(values))) for values in (x, y))
         axes.plot(x, y, color="#cfcfcf", lw=5, solid_capstyle="round", label="Reference", zorder=1)
         for method in tables.methods:
-            path = one_precision(tables.motion, method).filter(pl.col("body") == body)
+            path = _line(tables.motion, method, "float64").filter(pl.col("body") == body)
             look = look_of(method)
             mx, my = picture.curve(path, size)
             axes.plot(
@@ -208,7 +243,7 @@ def draw_motion(tables: ScenarioTables) -> Figure:
             )
         axes.set_xlabel(picture.x_label)
         axes.set_ylabel(picture.y_label)
-        title = f"{body}, float64 or an engine's own precision, dt = {tables.default_step:g} s"
+        title = f"{body}, float64, dt = {tables.default_step:g} s"
         axes.set_title(title, loc="left", parse_math=False)
         if picture.x_label.startswith("time"):
             axes.set_xlim(x[0], x[-1])
@@ -314,26 +349,13 @@ def _plot_against_dt(axes: Axes, tables: ScenarioTables, precision: str, column:
             old = _drawn(tables.before.runs, method, precision, column, scale)
             axes.plot(old["dt"], old[column], color=look.colour, lw=5, alpha=0.25, zorder=1.2)
         good = _drawn(tables.runs, method, precision, column, scale)
-        gone = line_of(tables.runs, method, precision).filter(~(pl.col(column) < CLIP * scale))
-        if not gone.is_empty():
-            axes.plot(
-                gone["dt"],
-                [0.985] * gone.height,
-                transform=axes.get_xaxis_transform(),
-                color=look.colour,
-                marker="x",
-                linestyle="none",
-                gid=DIVERGED,
-            )
         if good.is_empty():
             continue
         axes.plot(
             good["dt"], good[column], color=look.colour, linestyle=look.line, marker=look.marker
         )
     if not axes.get_lines():
-        _say(axes, "no error to show: all are zero")
-    if any(line.get_gid() == DIVERGED for line in axes.get_lines()):
-        axes.set_title("× at the top: diverged", loc="right", fontsize=7, color="#777777")
+        _say(axes, "no error to show:\nall are zero or not finite")
 
 
 def _drawn(
@@ -342,7 +364,7 @@ def _drawn(
     """The points of a line that a log axis can show."""
     value = pl.col(column)
     shown = value.is_finite() & (value > 0) & (value < CLIP * scale)
-    return line_of(runs, method, precision).sort("dt").filter(shown)
+    return _line(runs, method, precision).sort("dt").filter(shown)
 
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -369,24 +391,23 @@ def _say(axes: Axes, text: str) -> None:
 
 def _finish_log_panels(panels: list[Axes], floor: float, label: str) -> None:
     """Limits that show all data, the reference's floor shaded, and sensible ticks."""
-    lines = [line for axes in panels for line in axes.get_lines() if line.get_gid() != DIVERGED]
     values = np.concatenate(
-        [np.array([]), *(np.asarray(line.get_ydata(), float) for line in lines)]
+        [np.asarray(line.get_ydata(), float) for axes in panels for line in axes.get_lines()]
+        or [np.array([1.0])]
     )
     values = values[np.isfinite(values) & (values > 0)]
-    least = values.min(initial=1.0)
-    low = max(min(least, floor) / 30, least / 1000)  # a floor far below leaves the data its room
+    low = min(values.min(initial=1.0), floor) / 30
     high = values.max(initial=floor) * 3
     for axes in panels:
         axes.set_ylim(low, high)
-        axes.axhspan(low, max(low, floor), color="#efefef", zorder=0)
+        axes.axhspan(low, floor, color="#efefef", zorder=0)
         decades = math.log10(high / low)
         axes.yaxis.set_major_locator(LogLocator(numticks=8 if decades > 8 else 12))
         axes.yaxis.set_minor_locator(NullLocator())
     panels[0].text(
         0.02,
         0.015,
-        label if floor > low else f"{label}: {number(floor)}, below",
+        label,
         transform=panels[0].transAxes,
         fontsize=7,
         color="#777777",
@@ -424,23 +445,34 @@ def _legend(figure: Figure, tables: ScenarioTables, quantity: str | None) -> Non
         look = look_of(method)
         style = {"color": look.colour, "linestyle": look.line}
         handles.append(mpl.lines.Line2D([], [], marker=look.marker if quantity else "", **style))
-        order = order_text(tables, method, own_precision(tables, method), quantity or "", 3)
-        labels.append(_label(method) + (f" ({order})" if quantity else ""))
-    title = "method (order in float64 ± its error;\nan engine's in its own precision)"
+        labels.append(_label(method) + (_order(tables, method, quantity) if quantity else ""))
+    title = "method (order ± standard error)" if quantity else None
     figure.legend(
         handles,
         labels,
         loc="center left",
         bbox_to_anchor=(0.703, 0.53),
-        title=title if quantity else None,
+        title=title,
         title_fontsize=8,
         alignment="left",
     )
 
 
+def _order(tables: ScenarioTables, method: str, quantity: str) -> str:
+    """In float64, or in the only precision that an engine has."""
+    row = one_precision(tables.orders.filter(pl.col("quantity") == quantity), method)
+    if row.is_empty() or not math.isfinite(row["order"][0]):
+        return " (none)"
+    return f" ({order_text(row['order'][0], row['standard_error'][0], 3)})"
+
+
 def _label(method: str) -> str:
     """The method's name in a legend, where a dollar sign would begin a formula."""
     return method_title(method).replace("$", r"\$")
+
+
+def _line(table: pl.DataFrame, method: str, precision: str) -> pl.DataFrame:
+    return table.filter((pl.col("method") == method) & (pl.col("precision") == precision))
 
 
 def _limit(setter: Callable[[float, float], Any], values: np.ndarray) -> None:

@@ -19,6 +19,7 @@ from umbra_bench.drift_figures import LongRuns, draw_long_runs, load_long_runs
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.html_report import render_html
 from umbra_bench.parallel import map_in_processes
+from umbra_bench.plots import ScenarioTables
 from umbra_bench.results import (
     described,
     load_environment,
@@ -26,7 +27,6 @@ from umbra_bench.results import (
     load_table,
     replacing,
 )
-from umbra_bench.scenario_tables import ScenarioTables
 from umbra_bench.schemas import ENGINES_SCHEMA
 from umbra_bench.wording import render
 

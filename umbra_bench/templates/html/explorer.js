@@ -60,19 +60,12 @@
     const { ink, line } = colours();
     const axis = { gridcolor: line, zerolinecolor: line, linecolor: ink, automargin: true };
     return { paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: ink, size: 12 }, margin: { l: 60, r: 10, t: 10, b: 45 },
-      hovermode: "closest", showlegend: more.legend || innerWidth > 640, modebar: { orientation: "v", bgcolor: "rgba(0,0,0,0)", color: line, activecolor: ink }, legend: innerWidth > 640 ? { font: { size: 10 }, x: 1.06 } : { font: { size: 10 }, orientation: "h", y: -0.3 }, xaxis: { ...axis, title: { text: x }, ...more.xaxis }, yaxis: { ...axis, title: { text: y, standoff: 8 }, ...more.yaxis }, shapes: more.shapes || [] };
+      hovermode: "closest", showlegend: innerWidth > 640, modebar: { orientation: "v", bgcolor: "rgba(0,0,0,0)", color: line, activecolor: ink }, legend: { font: { size: 10 }, x: 1.06 }, xaxis: { ...axis, title: { text: x }, ...more.xaxis }, yaxis: { ...axis, title: { text: y }, ...more.yaxis }, shapes: more.shapes || [] };
   };
   const config = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["lasso2d", "select2d"] };
-  // On dark paper a dark colour is lightened until it can be seen: half way to white.
-  const inkOf = (colour) => {
-    if (!colours().dark) return colour;
-    const [r, g, b] = [1, 3, 5].map((i) => parseInt(colour.slice(i, i + 2), 16));
-    if (colour === "#000000") return "#ffffff";
-    if (0.2126 * r + 0.7152 * g + 0.0722 * b > 110) return colour;
-    return "#" + [r, g, b].map((v) => Math.round((v + 255) / 2).toString(16).padStart(2, "0")).join("");
-  };
   const stroke = (method) => {
-    return { color: inkOf(method.colour), dash: method.dash, width: 2 };
+    const { dark } = colours();
+    return { color: method.colour === "#000000" && dark ? "#ffffff" : method.colour, dash: method.dash, width: 2 };
   };
   const logarithmic = { type: "log", exponentformat: "power" };
   const trace = (line, more) => {
@@ -151,12 +144,12 @@
       { x: line.x, y: line.predicted, mode: "lines", line: { color: "#9aa4b1", width: 6 }, opacity: 0.5, showlegend: false, hoverinfo: "skip" },
       { name: line.title, x: line.x, y: line.measured, mode: "lines", line: stroke(line), hovertemplate: "%{fullData.name}<br>ω dt = %{x:.2f}<br>growth %{y:.4g}<extra></extra>" },
     ]);
-    Plotly.react("stability-plot", traces, layout("ω dt", "growth per step", { yaxis: { range: [0.4, 3] }, legend: true }), config);
+    Plotly.react("stability-plot", traces, layout("ω dt", "growth per step", { yaxis: { range: [0.4, 3] } }), config);
   };
   const drawLongRuns = () => data.long_runs.forEach((lines, i) => {
     const traces = lines.map((line) => ({ name: line.title, x: line.steps, y: line.error.map((v) => (v > 0 && v < 1e6 ? v : null)), mode: "lines", line: stroke(line),
       hovertemplate: `%{fullData.name}<br>%{x:.3g} steps<br>largest error %{y:.3g}<br>${line.law}<extra></extra>` }));
-    Plotly.react(`drift-plot-${i}`, traces, layout("steps", "|energy error| / energy scale", { xaxis: { ...logarithmic, dtick: 1 }, yaxis: { ...logarithmic, dtick: 2 }, legend: true }), config);
+    Plotly.react(`drift-plot-${i}`, traces, layout("steps", "|energy error| / energy scale", { xaxis: { ...logarithmic, dtick: 1 }, yaxis: { ...logarithmic, dtick: 2 } }), config);
   });
   const draw = () => {
     const scenario = scenarios.get(state.scenario);
@@ -191,8 +184,7 @@
     const box = element("input", "", { type: "checkbox", value: m.name });
     box.addEventListener("change", () => toggle(m.name));
     const swatch = element("span", "", { class: "swatch", "aria-hidden": "true" });
-    swatch.style.borderTopColor = inkOf(m.colour);
-    swatch.dataset.colour = m.colour;
+    swatch.style.borderTopColor = m.colour === "#000000" ? "currentColor" : m.colour;
     swatch.style.borderTopStyle = m.dash === "solid" ? "solid" : m.dash === "dash" ? "dashed" : "dotted";
     label.append(box, swatch, m.title);
     return label;
@@ -217,10 +209,7 @@
   };
   $("play").addEventListener("click", () => play($("play").getAttribute("aria-pressed") !== "true"));
   addEventListener("hashchange", () => { if (readAddress()) { draw(); $("explorer").scrollIntoView(); } });
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-    for (const swatch of document.querySelectorAll(".swatch")) swatch.style.borderTopColor = inkOf(swatch.dataset.colour);
-    draw();
-  });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
   readAddress();
   draw();
   // The library takes longer to start than all the rest: the page is there to read before it does.
