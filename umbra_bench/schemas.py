@@ -90,6 +90,9 @@ ENGINES_SCHEMA: dict[str, Any] = {
     "energy_error_60": pl.Float64,
 }
 
+ENGINE_STEPS = (0.04, 0.02, 0.01, 0.005)
+"""The steps, in s, over which the order of an engine's table is observed."""
+
 DRIFT_SERIES_SCHEMA: dict[str, Any] = {
     "scenario": pl.String,
     "method": pl.String,
