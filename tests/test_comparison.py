@@ -8,7 +8,8 @@ import polars as pl
 import pytest
 
 from umbra_bench.comparison import beside, differences
-from umbra_bench.overview import energy_fate, overview, print_overview
+from umbra_bench.findings import energy_fate
+from umbra_bench.overview import overview, print_overview
 from umbra_bench.report import tables_of, write_report
 from umbra_bench.results import save_study
 from umbra_bench.scenario import load_scenario

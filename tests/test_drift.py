@@ -68,6 +68,12 @@ def test_the_envelope_of_random_walks_grows_with_the_root_of_time() -> None:
     assert "exponential" not in laws
 
 
+def test_a_slow_climb_is_not_bounded() -> None:
+    noise = 1.0 + 0.02 * np.random.default_rng(0).normal(size=TIMES.size)
+    assert fit_drift_law(TIMES, 1e-6 * TIMES**0.13 * noise).law == "power"
+    assert fit_drift_law(TIMES, 1e-6 * TIMES**0.001).law == "bounded"
+
+
 @pytest.mark.parametrize("errors", [np.zeros(85), np.full(85, np.nan), np.ones(85)[:3]])
 def test_nothing_to_follow_has_no_law(errors: np.ndarray) -> None:
     assert fit_drift_law(TIMES[: errors.size], errors).law == "none"

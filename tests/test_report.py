@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
 import json
 import math
@@ -27,10 +28,12 @@ from test_results import MARKUP, METHODS_RUN, small_study, spared, spring
 
 from umbra_bench import cli, findings, plots, report
 from umbra_bench.errors import UmbraBenchError
+from umbra_bench.html_report import explorer_data
 from umbra_bench.methods import METHODS
-from umbra_bench.plots import LOOKS, ScenarioTables
+from umbra_bench.plots import LOOKS
 from umbra_bench.report import FIGURES, load_scenario_tables, write_report
 from umbra_bench.results import save_study
+from umbra_bench.scenario_tables import ScenarioTables
 from umbra_bench.study import Study, run_study
 from umbra_bench.wording import markdown_text
 
@@ -408,10 +411,11 @@ def test_the_numbers_of_a_caption_are_those_of_the_tables(
     assert verlet is not None
     column = {
         "error": "position_error_max",
-        "energy-time": "energy_drift_rate",
+        "energy-time": "energy_error_max",
         "energy": "energy_error_max",
     }[kind]
-    caption = findings.caption(kind, of)
+    caption, _, outliers = findings.caption(kind, of).partition(" Apart from all")
+    assert not outliers, "no engine of the small study is odd"
     stated = re.sub(r"float\d\d", "", caption)
     orders = []
     if kind == "error":
@@ -432,13 +436,38 @@ def test_the_numbers_of_a_caption_are_those_of_the_tables(
     if kind == "energy":
         assert rounded(more.pop(), of.reference["energy_scale"])
     assert more == []
+    if kind == "energy-time":
+        words = {"exact": "nothing but rounding", "bounded": "bounded", "gains": "it gains"}
+        words |= {"loses": "it loses", "diverged": "it diverges"}
+        fates = [words[findings.energy_fate(run, of)] for run in (umbra, verlet)]
+        assert re.findall(r"\((.*?)\)", caption) == fates
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+@pytest.mark.parametrize("kind", ["error", "energy"])
+def test_a_caption_names_an_engine_that_is_apart_from_all_others(
+    tables: dict[str, ScenarioTables], kind: str, factor: float
+) -> None:
+    soft = tables["soft"]
+    column = {"error": "position_error_max", "energy": "energy_error_max"}[kind]
+    step = soft.runs["dt"].max()
+    odd = (pl.col("method") == "pymunk") & (pl.col("dt") == step)
+    spoilt = soft.runs.with_columns(
+        pl.when(odd).then(factor * pl.col(column)).otherwise(pl.col(column)).alias(column)
+    )
+    caption = findings.caption(kind, dataclasses.replace(soft, runs=spoilt))
+    title, error, dt = re.findall(
+        r"or more: (.*) \(([^ ]+)(?: m)? at dt = ([^ ]+) s\)\.$", caption
+    )[0]
+    assert (method_of(title), float(dt)) == ("pymunk", step)
+    assert rounded(float(error), spoilt.filter(odd)[column].item())
 
 
 def test_a_caption_follows_its_table(tables: dict[str, ScenarioTables]) -> None:
     """A number of the tables that changes changes the caption: none is written anywhere else."""
     soft = tables["soft"]
     umbra = pl.col("method") == "umbra"
-    columns = ("position_error_max", "energy_drift_rate", "energy_error_max")
+    columns = ("position_error_max", "energy_error_max", "energy_error_max")
     for kind, column in zip(("error", "energy-time", "energy"), columns, strict=True):
         runs = soft.runs.with_columns(
             pl.when(umbra).then(3 * pl.col(column)).otherwise(pl.col(column)).alias(column)
@@ -579,6 +608,20 @@ def test_energy_over_time_is_drawn_as_the_table_has_it(
                 assert [largest[when] for when in t[kept]] == size[kept].tolist()
                 assert size[kept].max() == max(within), "no crest is lost"
             assert curves(axes)
+
+
+def test_the_explorer_misses_no_crest(tables: dict[str, ScenarioTables]) -> None:
+    for of, data in zip(
+        tables.values(), explorer_data(list(tables.values()))["scenarios"], strict=True
+    ):
+        for line in data["lines"]:
+            shown = np.frombuffer(base64.b64decode(line["over_time"]["error"]), "<f4")
+            run = row_of(
+                of.runs, method=line["method"], precision=line["precision"], dt=of.default_step
+            )
+            assert run is not None
+            if 0.0 < run["energy_error_max"] < BLOWN_UP:
+                assert np.nanmax(shown) == pytest.approx(run["energy_error_max"], rel=1e-6)
 
 
 def test_all_curves_are_within_the_limits(figures: dict[tuple[str, str], Figure]) -> None:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from umbra_bench.metrics import FLOOR_FACTOR, ORDER_DROP, TOLERANCE
-from umbra_bench.plots import ScenarioTables
+from umbra_bench.scenario_tables import ScenarioTables
 
 METRICS = {
     "position_error_max": ("position_bound", "length_scale"),

@@ -11,8 +11,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from umbra_bench.errors import UmbraBenchError, one_line
-from umbra_bench.plots import CLIP, PRECISIONS, log_scale, look_of, save, styled
+from umbra_bench.plots import CLIP, PRECISIONS, log_scale, look_of, mark_beyond, save, styled
 from umbra_bench.results import is_there, load_table
+from umbra_bench.scenario_tables import in_order
 from umbra_bench.schemas import DRIFT_LINE, DRIFT_SCHEMA, DRIFT_SERIES_SCHEMA
 from umbra_bench.wording import method_title
 
@@ -80,7 +81,10 @@ def draw_long_runs(runs: LongRuns) -> Figure:
             panels.append(axes)
             log_scale(axes, "x")
             log_scale(axes, "y")
-            for row in laws.filter(pl.col("precision") == precision).to_dicts():
+            rows = {
+                r["method"]: r for r in laws.filter(pl.col("precision") == precision).to_dicts()
+            }
+            for row in (rows[method] for method in in_order(rows)):
                 line = series.filter(
                     (pl.col("method") == row["method"])
                     & (pl.col("precision") == precision)
@@ -90,11 +94,14 @@ def draw_long_runs(runs: LongRuns) -> Figure:
                 size = np.where(np.isfinite(size) & (size < CLIP) & (size > 0.0), size, np.nan)
                 look = look_of(row["method"])
                 (drawn,) = axes.plot(line["step"], size, color=look.colour, ls=look.line, lw=1.2)
+                beyond = line.filter(pl.Series(~(largest(line) < CLIP)))
+                if beyond.height:
+                    mark_beyond(axes, beyond["step"][0], look.colour)
                 handles[method_title(row["method"])] = drawn
             axes.set_title(f"{precision}, dt = {series['dt'][0]:g} s", loc="left")
             axes.set_xlabel("steps")
-            if not place:
-                axes.set_ylabel("|energy error| / energy scale")
+            axes.tick_params(labelleft=not place)
+        panels[0].set_ylabel("|energy error| / energy scale")
         low, high = zip(*(axes.get_ylim() for axes in panels), strict=True)
         for axes in panels:
             axes.set_ylim(min(low), max(high))

@@ -33,6 +33,9 @@ DECISIVE = 10.0
 NEAR = 0.15
 """How far the exponent may be from that of the law of powers that bears its name."""
 
+FLAT = 0.02
+"""The largest exponent of a bounded error whose standard error is nothing: it rises by 15 % in all."""
+
 _POWERS = {"bounded": 0.0, "random walk": 0.5, "linear": 1.0}
 
 
@@ -87,7 +90,10 @@ def fit_drift_law(times: np.ndarray, errors: np.ndarray) -> DriftLaw:
     best, second = sorted(criteria, key=lambda law: criteria[law])[:2]
     evidence = criteria[second] - criteria[best]
     law = best if evidence >= DECISIVE else "undecided"
-    if law in _POWERS and abs(slope.slope - _POWERS[law]) > NEAR:
+    # A slow climb is no bound, however little of a random walk it is: a bounded error has an
+    # exponent that cannot be told from nothing.
+    near = min(NEAR, max(FLAT, 3.0 * slope.stderr)) if law == "bounded" else NEAR
+    if law in _POWERS and abs(slope.slope - _POWERS[law]) > near:
         law = "power"
     rate = rates[best] if law in ("linear", "exponential") else math.nan
     return DriftLaw(law, rate, slope.slope, slope.stderr, evidence, second)

@@ -19,7 +19,7 @@ from umbra_bench.methods import find_method
 from umbra_bench.parallel import map_in_processes
 from umbra_bench.reference import certified_reference
 from umbra_bench.scenario import Scenario, load_scenario
-from umbra_bench.schemas import ENGINES_SCHEMA
+from umbra_bench.schemas import ENGINE_STEPS, ENGINES_SCHEMA
 from umbra_bench.simulation import simulate
 from umbra_bench.study import measure, orders_of, run_on_grid
 from umbra_bench.wording import number
@@ -29,7 +29,7 @@ class Examination(NamedTuple):
     """What a method was found to be, and how it does on the spring.
 
     Attributes:
-        position_order, velocity_order: observed over steps of 0.04 to 0.005 s; NaN where none shows.
+        position_order, velocity_order: observed over `ENGINE_STEPS`; NaN where none shows.
         energy_100, energy_60: the largest energy error over the energy scale at 100 and 60 steps a
             second.
     """
@@ -48,7 +48,7 @@ def examine(method: str, scenarios: Sequence[Scenario] = ()) -> Examination:
         UmbraBenchError: as :func:`identify`.
     """
     identity = identify(method, scenarios)
-    spring = load_scenario("spring").with_sweep(0.04, 3)
+    spring = load_scenario("spring").with_sweep(ENGINE_STEPS[0], len(ENGINE_STEPS) - 1)
     reference = certified_reference(spring)
     runs = [
         measure(run_on_grid(spring, reference, method, dt, identity.precision), reference)

@@ -10,14 +10,20 @@ from typing import Any
 import polars as pl
 
 from umbra_bench import wording
-from umbra_bench.plots import ScenarioTables, methods_of
+from umbra_bench.methods import METHODS
+from umbra_bench.scenario_tables import ScenarioTables, at_default_step, methods_of
 from umbra_bench.wording import method_title, number
 
 EXACT = 1e-9
 """A method whose error at the default step is below this part of the motion's size is exact."""
 
+SECULAR = 0.5
+"""Energy that drifts over the run by more than this part of its largest error is gained or lost."""
 
-def order_text(tables: ScenarioTables, method: str, precision: str, quantity: str) -> str:
+
+def order_text(
+    tables: ScenarioTables, method: str, precision: str, quantity: str, decimals: int = 2
+) -> str:
     """An observed order with its standard error, or why there is none."""
     row = tables.orders.filter(
         (pl.col("method") == method)
@@ -28,18 +34,26 @@ def order_text(tables: ScenarioTables, method: str, precision: str, quantity: st
         return "–"
     order, error = row.select("order", "standard_error").row(0)
     if math.isfinite(order):
-        return wording.order_text(order, error)
+        return wording.order_text(order, error, decimals)
     run = at_default_step(tables, method, precision)
     exact = run and run["position_error_max"] < EXACT * tables.reference["length_scale"]
     return "exact" if exact else "none"
 
 
 def order_table(tables: Sequence[ScenarioTables]) -> dict[str, Any]:
-    """Observed orders of position in float64: a row per method, a column per scenario."""
+    """Observed orders of position in each method's own precision: a column per scenario."""
     return {
         "columns": [t.scenario["name"] for t in tables],
         "rows": [
-            (method_title(method), [order_text(t, method, "float64", "position") for t in tables])
+            (
+                method_title(method),
+                [
+                    order_text(t, method, t.own_precision(method), "position")
+                    if method in t.methods
+                    else "–"
+                    for t in tables
+                ],
+            )
             for method in methods_of(tables)
         ],
     }
@@ -64,14 +78,16 @@ def drift_table(tables: Sequence[ScenarioTables]) -> dict[str, Any]:
     return {"columns": [t.scenario["name"] for t in tables], "rows": rows}
 
 
-def at_default_step(tables: ScenarioTables, method: str, precision: str) -> dict[str, Any] | None:
-    """The run of a method at the default step, if there is one."""
-    rows = tables.runs.filter(
-        (pl.col("method") == method)
-        & (pl.col("precision") == precision)
-        & (pl.col("dt") == tables.default_step)
-    )
-    return rows.to_dicts()[0] if not rows.is_empty() else None
+def energy_fate(run: dict[str, Any], tables: ScenarioTables) -> str:
+    """What becomes of a run's energy: "exact", "bounded", "gains", "loses" or "diverged"."""
+    if run["diverged_at"] is not None or not math.isfinite(run["energy_error_max"]):
+        return "diverged"
+    if run["energy_error_max"] <= 10 * max(tables.reference["energy_bound"], 1e-15):
+        return "exact"
+    drifted = run["energy_drift_rate"] * tables.scenario["duration"]
+    if abs(drifted) <= SECULAR * run["energy_error_max"]:
+        return "bounded"
+    return "gains" if drifted > 0.0 else "loses"
 
 
 def paragraph(tables: Sequence[ScenarioTables], claims: dict[str, Any] | None = None) -> str:
@@ -105,6 +121,7 @@ def long_runs_caption(laws: Sequence[dict[str, Any]]) -> str:
             told = ", ".join(
                 f"{method_title(row['method'])} ({number(row['energy_error_max'])}"
                 + ("" if row["diverged_at"] is None else f", diverged at {row['diverged_at']:g} s")
+                + (f", as t^{row['exponent']:.2f}" if law == "power" else "")
                 + ")"
                 for row in alike
             )
@@ -183,11 +200,11 @@ def _pymunk_sentence(tables: Sequence[ScenarioTables]) -> Iterable[str]:
     before = spring and at_default_step(spring, "pymunk", "float64")
     inside = spring and at_default_step(spring, "pymunk-velocity-func", "float64")
     if spring and before and inside:
-        gain = before["energy_drift_rate"] * spring.scenario["duration"]
         yield (
-            f"pymunk with the force set before `step` is explicit Euler: it gains "
-            f"{number(100 * gain)} % of energy in {spring.scenario['duration']:g} s on the same "
-            "spring; with the force in the velocity callback its energy error stays below "
+            f"pymunk with the force set before `step` is explicit Euler: its energy is off by "
+            f"up to {number(100 * before['energy_error_max'])} % of the energy scale within "
+            f"{spring.scenario['duration']:g} s on the same spring; "
+            "with the force in the velocity callback its energy error stays below "
             f"{number(100 * inside['energy_error_max'])} %."
         )
 
@@ -208,12 +225,14 @@ def caption(figure: str, tables: ScenarioTables) -> str:
                 f"{order_text(tables, 'velocity-verlet', 'float64', 'position')}. At dt = {step:g} s "
                 f"UMBRA is off by up to {number(umbra['position_error_max'])} m, velocity Verlet by "
                 f"{number(verlet['position_error_max'])} m."
+                f"{_outliers(tables, 'position_error_max', ' m')}"
             )
         case "energy-time":
             return (
-                f"Energy drift at dt = {step:g} s, float64: UMBRA as published "
-                f"{number(umbra['energy_drift_rate'])} of the energy scale per second, velocity "
-                f"Verlet {number(verlet['energy_drift_rate'])}."
+                f"At dt = {step:g} s, float64, the energy of UMBRA as published is off by up to "
+                f"{number(umbra['energy_error_max'])} of the energy scale "
+                f"({_FATES[energy_fate(umbra, tables)]}), that of velocity Verlet by up to "
+                f"{number(verlet['energy_error_max'])} ({_FATES[energy_fate(verlet, tables)]})."
             )
         case "energy":
             return (
@@ -221,20 +240,58 @@ def caption(figure: str, tables: ScenarioTables) -> str:
                 f"{number(umbra['energy_error_max'])}, velocity Verlet "
                 f"{number(verlet['energy_error_max'])} of the energy scale "
                 f"({number(tables.reference['energy_scale'])} J)."
+                f"{_outliers(tables, 'energy_error_max')}"
             )
         case _:
             away = [
                 method_title(method)
                 for method in tables.methods
-                if (run := at_default_step(tables, method, "float64"))
+                if (run := at_default_step(tables, method, tables.own_precision(method)))
                 and not run["position_error_max"] < 0.1 * tables.reference["length_scale"]
             ]
             leaving = (
-                f"Off by more than a tenth of the motion's size: {', '.join(away)}."
+                f"Off by more than a tenth of the motion's size at some time: {', '.join(away)}."
                 if away
-                else "No method is off by more than a tenth of the motion's size."
+                else "No method is ever off by more than a tenth of the motion's size."
             )
-            return f"The reference is the wide grey line beneath. {leaving}"
+            return (
+                "The reference is the wide grey line beneath; marks at the ends show where each method "
+                f"is at one and the same instant. {leaving}"
+            )
+
+
+_FATES = {
+    "exact": "nothing but rounding",
+    "bounded": "bounded",
+    "gains": "it gains",
+    "loses": "it loses",
+    "diverged": "it diverges",
+}
+
+
+def _outliers(tables: ScenarioTables, column: str, unit: str = "") -> str:
+    """Engines that are an order of magnitude apart from all other methods at a step, where most."""
+    found: dict[str, tuple[float, dict[str, Any]]] = {}
+    stayed = tables.runs.filter(pl.col("diverged_at").is_null() & (pl.col(column) > 0))
+    for row in stayed.to_dicts():
+        if row["method"] not in METHODS or METHODS[row["method"]].kind != "engine":
+            continue
+        others = tables.runs.filter(
+            (pl.col("precision") == row["precision"])
+            & (pl.col("dt") == row["dt"])
+            & (pl.col("method") != row["method"])
+            & (pl.col(column) > 0)
+        )[column]
+        if others.is_empty():
+            continue
+        apart = max(row[column] / others.max(), others.min() / row[column])
+        if apart > max(10.0, found.get(row["method"], (0.0,))[0]):
+            found[row["method"]] = apart, row
+    told = [
+        f"{method_title(method)} ({number(row[column])}{unit} at dt = {row['dt']:g} s)"
+        for method, (_, row) in found.items()
+    ]
+    return f" Apart from all other methods by ten times or more: {', '.join(told)}." if told else ""
 
 
 def orders_caption(tables: Sequence[ScenarioTables]) -> str:
@@ -242,11 +299,14 @@ def orders_caption(tables: Sequence[ScenarioTables]) -> str:
     medians = [
         f"{method_title(method)} {statistics.median(found.values()):.2f} ({len(found)} scenarios)"
         for method in methods_of(tables)
-        if (found := orders_of_position(tables, method))
+        if (found := orders_of_position(tables, method, _precision_of(tables, method)))
     ]
     if not medians:
-        return "No method shows an order in float64."
-    return f"Median of the observed orders of position, float64: {', '.join(medians)}."
+        return "No method shows an order."
+    return (
+        "Median of the observed orders of position, float64 or an engine's own precision: "
+        f"{', '.join(medians)}."
+    )
 
 
 def orders_of_position(
@@ -260,6 +320,10 @@ def orders_of_position(
         & pl.col("order").is_finite()
     )
     return dict(zip(table["scenario"], table["order"], strict=True))
+
+
+def _precision_of(tables: Sequence[ScenarioTables], method: str) -> str:
+    return next(t.own_precision(method) for t in tables if method in t.methods)
 
 
 def _order_of(method: str, tables: Sequence[ScenarioTables]) -> str:

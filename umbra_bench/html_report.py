@@ -20,8 +20,10 @@ from plotly.offline import get_plotlyjs
 
 from umbra_bench import findings
 from umbra_bench.drift_figures import LongRuns, largest
-from umbra_bench.overview import energy_fate, overview
-from umbra_bench.plots import ScenarioTables, look_of, methods_of
+from umbra_bench.overview import overview
+from umbra_bench.plots import envelope, look_of
+from umbra_bench.scenario_tables import ScenarioTables, at_default_step, methods_of
+from umbra_bench.schemas import ENGINE_STEPS
 from umbra_bench.wording import method_title, number
 
 POINTS = 160
@@ -66,6 +68,7 @@ def render_html(
             for runs in long_runs
         ],
         engines=engines,
+        engine_steps=ENGINE_STEPS,
         skips=skips,
         references=[t.reference for t in tables],
         environment=environment,
@@ -110,17 +113,19 @@ def _matrix(tables: Sequence[ScenarioTables]) -> list[dict[str, Any]]:
     for method in methods_of(tables):
         cells: list[dict[str, Any] | None] = []
         for t in tables:
-            run = findings.at_default_step(t, method, "float64")
-            run = run or findings.at_default_step(t, method, "float32")
+            if method not in t.methods:
+                cells.append(None)
+                continue
+            precision = t.own_precision(method)
+            run = at_default_step(t, method, precision)
             if run is None:
                 cells.append(None)
                 continue
-            precision = run["precision"]
             cells.append(
                 {
                     "order": findings.order_text(t, method, precision, "position"),
                     "energy": run["energy_error_max"],
-                    "fate": energy_fate(run, t),
+                    "fate": findings.energy_fate(run, t),
                 }
             )
         rows.append({"method": method, "cells": cells})
@@ -228,11 +233,8 @@ def _line_data(t: ScenarioTables, method: str, precision: str, body: str) -> dic
         "diverged": runs["diverged_at"].to_list(),
     }
     if not energy.is_empty():
-        chosen = _chosen(energy.height)
-        data["over_time"] = {
-            "t": _packed(energy["t"].to_numpy()[chosen]),
-            "error": _packed(energy["energy_error"].to_numpy()[chosen]),
-        }
+        time, size = envelope(energy)  # samples would miss the peaks between them
+        data["over_time"] = {"t": _packed(time), "error": _packed(size)}
     if not motion.is_empty():
         data["motion"] = _motion_data(motion)
     return data

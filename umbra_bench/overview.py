@@ -11,12 +11,9 @@ from typing import Any, NamedTuple
 from rich.console import Console
 from rich.table import Table
 
-from umbra_bench.findings import at_default_step, orders_of_position
-from umbra_bench.plots import ScenarioTables, methods_of
+from umbra_bench.findings import energy_fate, orders_of_position
+from umbra_bench.scenario_tables import ScenarioTables, at_default_step, methods_of
 from umbra_bench.wording import method_title, number
-
-SECULAR = 0.5
-"""Energy that drifts over the run by more than this part of its largest error is gained or lost."""
 
 
 class Row(NamedTuple):
@@ -86,18 +83,6 @@ def _row(
         loses=fates.count("loses"),
         diverged=fates.count("diverged"),
     )
-
-
-def energy_fate(run: dict[str, Any], tables: ScenarioTables) -> str:
-    """What becomes of a run's energy: "exact", "bounded", "gains", "loses" or "diverged"."""
-    if run["diverged_at"] is not None or not math.isfinite(run["energy_error_max"]):
-        return "diverged"
-    if run["energy_error_max"] <= 10 * max(tables.reference["energy_bound"], 1e-15):
-        return "exact"
-    drifted = run["energy_drift_rate"] * tables.scenario["duration"]
-    if abs(drifted) <= SECULAR * run["energy_error_max"]:
-        return "bounded"
-    return "gains" if drifted > 0.0 else "loses"
 
 
 def print_overview(tables: Sequence[ScenarioTables]) -> None:

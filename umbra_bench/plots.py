@@ -1,16 +1,15 @@
 """Results to pictures: each figure answers one question, drawn from the tables alone.
 
-One colour, one line and one marker a method, everywhere; the colours are those of Okabe and Ito,
-which colour-blind readers can tell apart.
+One colour, one line and one marker a method, everywhere. The colours of this project's methods are
+those of Okabe and Ito, which colour-blind readers can tell apart; engines, dotted, have their markers.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,10 +22,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from umbra_bench.methods import METHODS
+from umbra_bench.findings import order_text
 from umbra_bench.metrics import FLOOR_FACTOR
 from umbra_bench.results import replacing
-from umbra_bench.wording import method_title, order_text
+from umbra_bench.scenario_tables import ScenarioTables, at_default_step, methods_of, one_precision
+from umbra_bench.wording import method_title, number
 
 
 class Look(NamedTuple):
@@ -57,24 +57,6 @@ LOOKS: dict[str, Look] = {
 _UNKNOWN = Look("#444444", (0, (5, 1, 1, 1, 1, 1)), "h")
 
 
-def methods_of(tables: Sequence[ScenarioTables]) -> list[str]:
-    """All methods of some results, in the order of the table of methods."""
-    return in_order(method for t in tables for method in t.methods)
-
-
-def in_order(methods: Iterable[str]) -> list[str]:
-    """Methods, each once, in the order of the table of methods; unknown ones last."""
-    found = set(methods)
-    return [name for name in METHODS if name in found] + sorted(found - set(METHODS))
-
-
-def one_precision(table: pl.DataFrame, method: str) -> pl.DataFrame:
-    """A method's rows in float64, or in the only precision that it has."""
-    rows = table.filter(pl.col("method") == method)
-    precisions = rows["precision"].unique()
-    return rows.filter(pl.col("precision") == precisions.max()) if len(precisions) else rows
-
-
 def look_of(method: str) -> Look:
     """How a method is drawn; one that nobody thought of is grey."""
     return LOOKS.get(method, _UNKNOWN)
@@ -86,32 +68,6 @@ CLIP = 1e6
 
 WINDOWS = 120
 """A run's energy error is drawn as its largest value in each of this many parts."""
-
-
-@dataclass(frozen=True)
-class ScenarioTables:
-    """Everything in the results that belongs to one scenario.
-
-    `before`: the same of another run, drawn beneath as wide pale lines.
-    """
-
-    scenario: dict[str, Any]
-    runs: pl.DataFrame
-    orders: pl.DataFrame
-    reference: dict[str, Any]
-    motion: pl.DataFrame
-    energy: pl.DataFrame
-    before: ScenarioTables | None = None
-
-    @property
-    def methods(self) -> list[str]:
-        """The methods that were run, in the order of the table of methods."""
-        return in_order(self.runs["method"])
-
-    @property
-    def default_step(self) -> float:
-        """The step at which motion and energy over time are kept, s."""
-        return float(self.motion["dt"][0])
 
 
 def draw_error(tables: ScenarioTables) -> Figure:
@@ -131,9 +87,12 @@ def _draw_against_dt(tables: ScenarioTables, quantity: str, label: str) -> Figur
             _plot_against_dt(axes, tables, precision, f"{quantity}_error_max")
         floor = FLOOR_FACTOR * tables.reference[f"{quantity}_bound"]
         _finish_log_panels(panels, floor, "floor of the reference")
-        for axes in panels:
-            if axes.get_lines():
-                slope_guides(axes)
+        if tables.orders.filter(pl.col("quantity") == quantity)["order"].is_finite().any():
+            for axes in panels:
+                if axes.get_lines():
+                    slope_guides(axes)
+        if any(text.get_text().startswith("▲") for axes in panels for text in axes.texts):
+            figure.text(0.71, 0.03, "▲ how many methods diverged", fontsize=7, color="#555555")
         _legend(figure, tables, quantity)
     return figure
 
@@ -145,7 +104,7 @@ def draw_energy_over_time(tables: ScenarioTables) -> Figure:
         for axes, precision in zip(panels, PRECISIONS, strict=True):
             log_scale(axes, "y")
             axes.set_title(f"{precision}, dt = {tables.default_step:g} s", loc="left")
-            for method in tables.methods:
+            for row, method in enumerate(tables.methods):
                 series = _line(tables.energy, method, precision).sort("t")
                 if series.is_empty():
                     continue
@@ -154,7 +113,18 @@ def draw_energy_over_time(tables: ScenarioTables) -> Figure:
                 if np.isnan(size).all():
                     continue
                 look = look_of(method)
-                axes.plot(time, size, color=look.colour, linestyle=look.line, lw=1.0)
+                axes.plot(
+                    time,
+                    size,
+                    color=look.colour,
+                    linestyle=look.line,
+                    lw=1.0,
+                    marker=look.marker,
+                    markevery=(row, max(len(tables.methods), 15)),
+                )
+                run = at_default_step(tables, method, precision)
+                if run and run["diverged_at"] is not None:
+                    mark_beyond(axes, run["diverged_at"], look.colour)
             if not axes.get_lines():
                 _say(axes, "no method shows any energy error")
         _finish_log_panels(
@@ -225,6 +195,7 @@ def draw_orders(tables: Sequence[ScenarioTables]) -> Figure:
 def draw_motion(tables: ScenarioTables) -> Figure:
     """What does the motion look like at the default step, and who leaves it?"""
     picture = _PICTURES[tables.scenario["family"]]
+    timed = picture.x_label.startswith("time")
     with styled():
         figure = Figure(figsize=(7.2, 3.9))
         FigureCanvasAgg(figure)
@@ -232,30 +203,92 @@ def draw_motion(tables: ScenarioTables) -> Figure:
         body = tables.scenario["bodies"][0]["name"]
         truth = _line(tables.motion, "reference", "float64").filter(pl.col("body") == body)
         x, y = picture.curve(truth, math.inf)
+        sparse, shown = (False, len(x)) if timed else _window(x, y)
+        x, y = x[:shown], y[:shown]
         size = 1e6 * max(float(np.nanmax(np.abs(values))) for values in (x, y))
-        axes.plot(x, y, color="#cfcfcf", lw=5, solid_capstyle="round", label="Reference", zorder=1)
-        for method in tables.methods:
-            path = _line(tables.motion, method, "float64").filter(pl.col("body") == body)
-            look = look_of(method)
-            mx, my = picture.curve(path, size)
-            axes.plot(
-                mx, my, color=look.colour, linestyle=look.line, lw=0.9, label=method_title(method)
-            )
+        dots: dict[str, Any] = {"linestyle": "none", "marker": "o"} if sparse else {}
+        axes.plot(
+            x, y, color="#cfcfcf", lw=5, solid_capstyle="round", label="Reference", zorder=1, **dots
+        )
+        title = f"{body}, float64, dt = {tables.default_step:g} s"
+        if sparse:
+            title += f", every {truth['t'][1] - truth['t'][0]:.2g} s"
+        elif shown < truth.height:
+            title += f", until {truth['t'][shown - 1]:.2g} s"
+        axes.set_title(title, loc="left", parse_math=False)
         axes.set_xlabel(picture.x_label)
         axes.set_ylabel(picture.y_label)
-        title = f"{body}, float64, dt = {tables.default_step:g} s"
-        axes.set_title(title, loc="left", parse_math=False)
-        if picture.x_label.startswith("time"):
+        if timed:
             axes.set_xlim(x[0], x[-1])
         else:
             _limit(axes.set_xlim, x)
         _limit(axes.set_ylim, y)
         if picture.equal:
             axes.set_aspect("equal", adjustable="box")
+        for row, method in enumerate(tables.methods):
+            precision = tables.own_precision(method)
+            path = _line(tables.motion, method, precision).filter(pl.col("body") == body)
+            look = look_of(method)
+            mx, my = (values[:shown] for values in picture.curve(path, size))
+            axes.plot(
+                mx,
+                my,
+                color=look.colour,
+                linestyle="none" if sparse else look.line,
+                lw=0.9,
+                marker=look.marker,
+                markersize=1.5 if sparse else None if timed else 6,
+                markevery=None if sparse else (3 * row, 45) if timed else [len(mx) - 1],
+                label=_label(method) + ("" if precision == "float64" else f" ({precision})"),
+            )
+            _mark_leaving(axes, mx, my, look.colour)
         figure.legend(
             *axes.get_legend_handles_labels(), loc="center left", bbox_to_anchor=(0.65, 0.5)
         )
     return figure
+
+
+TURNS = 8
+"""A path in a plane is drawn for so many turns: beyond them it is a tangle."""
+
+SPARSE = 0.7
+"""Samples between which a path turns by more than this, in rad, are dots: chords would lie."""
+
+
+def _window(x: np.ndarray, y: np.ndarray) -> tuple[bool, int]:
+    """Whether the samples of a path are sparse, and how many of them are drawn."""
+    chords = np.diff(x) / (np.ptp(x) or 1.0) + 1j * np.diff(y) / (np.ptp(y) or 1.0)
+    turns = np.abs(np.angle(chords[1:] * chords[:-1].conj()))
+    sparse = bool(turns.size) and float(np.median(turns)) > SPARSE
+    within = int(np.searchsorted(turns.cumsum(), 2 * math.pi * TURNS))
+    return sparse, len(x) if sparse or within == turns.size else within + 2
+
+
+def _mark_leaving(axes: Axes, x: np.ndarray, y: np.ndarray, colour: str) -> None:
+    """A triangle on the frame where a path leaves it, pointing where it goes."""
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    with np.errstate(invalid="ignore"):
+        within = (x >= left) & (x <= right) & (y >= low) & (y <= high)
+    out = int(within.argmin()) if within.size else 0
+    if out == 0 or within[out]:  # it never leaves, or was never there
+        return
+    last = out if np.isfinite(x[out] + y[out]) else out - 1
+    across, up = (x[last] - x[last - 1]) / (right - left), (y[last] - y[last - 1]) / (high - low)
+    axes.scatter(
+        [np.clip(x[last], left, right)],
+        [np.clip(y[last], low, high)],
+        marker=(3, 0, round(math.degrees(math.atan2(up, across))) - 90),
+        s=30,
+        color=colour,
+        clip_on=False,
+        zorder=5,
+    )
+
+
+def mark_beyond(axes: Axes, x: float, colour: str) -> None:
+    """A triangle at the top of a panel, where a curve has left through it."""
+    top = axes.get_xaxis_transform()
+    axes.scatter([x], [1.0], marker="^", s=20, color=colour, transform=top, clip_on=False, zorder=5)
 
 
 class Picture(NamedTuple):
@@ -355,7 +388,29 @@ def _plot_against_dt(axes: Axes, tables: ScenarioTables, precision: str, column:
             good["dt"], good[column], color=look.colour, linestyle=look.line, marker=look.marker
         )
     if not axes.get_lines():
-        _say(axes, "no error to show:\nall are zero or not finite")
+        _say(axes, _why_nothing(tables.runs.filter(pl.col("precision") == precision)[column]))
+        return
+    for dt, count in _beyond(tables.runs, precision, column, scale).rows():
+        axes.update_datalim([(dt, 1.0)], updatey=False)
+        top = axes.get_xaxis_transform()
+        axes.text(dt, 1.0, f"▲{count}", transform=top, fontsize=6.5, color="#555555", ha="center")
+    axes.autoscale_view(scaley=False)
+
+
+def _why_nothing(errors: pl.Series) -> str:
+    if errors.is_empty():
+        return "no method was run"
+    if (errors == 0.0).all():
+        return "every error is exactly zero"
+    return (
+        "every method has diverged" if (errors != 0.0).all() else "every error is zero or infinite"
+    )
+
+
+def _beyond(runs: pl.DataFrame, precision: str, column: str, scale: float) -> pl.DataFrame:
+    """At how many methods, by step, the error is beyond what is drawn: they have diverged."""
+    beyond = pl.col(column).is_nan() | (pl.col(column) >= CLIP * scale)
+    return runs.filter((pl.col("precision") == precision) & beyond).group_by("dt").len().sort("dt")
 
 
 def _drawn(
@@ -375,13 +430,17 @@ def log_scale(axes: Axes, *names: str) -> None:
     for name in names:
         getattr(axes, f"set_{name}scale")("log")
         axis = getattr(axes, f"{name}axis")
-        axis.set_major_formatter(FuncFormatter(_power_of_ten))
+        axis.set_major_formatter(FuncFormatter(_power_tick))
         axis.set_minor_formatter(NullFormatter())
         axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
 
 
-def _power_of_ten(value: float, _: int) -> str:
-    exponent = round(math.log10(value))
+def _power_tick(value: float, _: int) -> str:
+    return power_of_ten(round(math.log10(value)))
+
+
+def power_of_ten(exponent: int) -> str:
+    """A power of ten as text."""
     return f"10{str(exponent).translate(_SUPERSCRIPTS)}"
 
 
@@ -396,18 +455,20 @@ def _finish_log_panels(panels: list[Axes], floor: float, label: str) -> None:
         or [np.array([1.0])]
     )
     values = values[np.isfinite(values) & (values > 0)]
-    low = min(values.min(initial=1.0), floor) / 30
+    least = values.min(initial=1.0)
+    low = min(least / 30, max(floor / 30, least / 100))  # a floor far below would squeeze the data
     high = values.max(initial=floor) * 3
     for axes in panels:
         axes.set_ylim(low, high)
-        axes.axhspan(low, floor, color="#efefef", zorder=0)
+        if floor > low:
+            axes.axhspan(low, floor, color="#efefef", zorder=0)
         decades = math.log10(high / low)
         axes.yaxis.set_major_locator(LogLocator(numticks=8 if decades > 8 else 12))
         axes.yaxis.set_minor_locator(NullLocator())
     panels[0].text(
         0.02,
         0.015,
-        label,
+        label if floor > low else f"{label}: {number(floor)}",
         transform=panels[0].transAxes,
         fontsize=7,
         color="#777777",
@@ -415,55 +476,73 @@ def _finish_log_panels(panels: list[Axes], floor: float, label: str) -> None:
 
 
 def slope_guides(axes: Axes) -> None:
-    """Short lines of slope 1, 2 and 4, labelled, in the lower right corner."""
-    low, high = axes.get_ylim()
-    left, right = axes.get_xlim()
-    end = 10 ** (math.log10(right) - 0.03 * math.log10(right / left))
-    begin = end / 4
-    base = low * (high / low) ** 0.04
-    for slope in (1, 2, 4):
-        top = base * 4**slope
-        if top < high:
-            axes.plot([begin, end], [base, top], color="#999999", lw=0.7, zorder=1.5)
-            axes.annotate(
-                f"{slope}",
-                (end, top),
-                fontsize=7,
-                color="#777777",
-                va="center",
-                xytext=(2, 0),
-                textcoords="offset points",
-                annotation_clip=False,
-            )
+    """Short lines of slope 1, 2 and 4, labelled, in a corner that no curve crosses, if there is one."""
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    run = math.log10(4.0) / math.log10(right / left)
+    rises = {s: s * math.log10(4.0) / math.log10(high / low) for s in (1, 2, 4)}
+    rises = {slope: rise for slope, rise in rises.items() if rise < 0.4}
+    if not rises:
+        return
+    width, height = run + 0.04, max(rises.values())
+    taken = np.concatenate([_along(axes, line) for line in axes.get_lines()])
+    corners = ((0.97 - width, 0.04), (0.03, 0.96 - height), (0.97 - width, 0.96 - height))
+    for x, y in corners:
+        apart = np.abs(taken - (x + width / 2, y + height / 2)) > (width / 2, height / 2 + 0.02)
+        if apart.any(axis=1).all():
+            break
+    else:
+        return
+    for slope, rise in rises.items():
+        ends: dict[str, Any] = {
+            "transform": axes.transAxes,
+            "color": "#999999",
+            "lw": 0.7,
+            "zorder": 1.5,
+        }
+        axes.plot([x, x + run], [y, y + rise], **ends)
+        axes.text(
+            x + run + 0.01,
+            y + rise,
+            f"{slope}",
+            transform=axes.transAxes,
+            fontsize=7,
+            color="#777777",
+            va="center",
+        )
     axes.set_xlim(left, right)
 
 
+def _along(axes: Axes, line: mpl.lines.Line2D) -> np.ndarray:
+    """Places along a curve, in parts of a panel, shape (K, 2)."""
+    places = axes.transAxes.inverted().transform(axes.transData.transform(line.get_xydata()))
+    index = np.arange(len(places))
+    between = np.linspace(0.0, max(len(places) - 1.0, 0.0), 12 * len(places))
+    return np.column_stack([np.interp(between, index, column) for column in places.T])
+
+
 def _legend(figure: Figure, tables: ScenarioTables, quantity: str | None) -> None:
-    """All methods, with their observed order in float64 where a quantity is given."""
+    """All methods, with their observed order where a quantity is given."""
     handles, labels = [], []
     for method in tables.methods:
         look = look_of(method)
-        style = {"color": look.colour, "linestyle": look.line}
-        handles.append(mpl.lines.Line2D([], [], marker=look.marker if quantity else "", **style))
-        labels.append(_label(method) + (_order(tables, method, quantity) if quantity else ""))
-    title = "method (order ± standard error)" if quantity else None
+        handles.append(
+            mpl.lines.Line2D([], [], color=look.colour, linestyle=look.line, marker=look.marker)
+        )
+        precision = tables.own_precision(method)
+        labels.append(
+            _label(method)
+            + (f" ({order_text(tables, method, precision, quantity, 3)})" if quantity else "")
+        )
+    title = "method (order ± standard error,\nfloat64 or the engine's own precision)"
     figure.legend(
         handles,
         labels,
         loc="center left",
         bbox_to_anchor=(0.703, 0.53),
-        title=title,
+        title=title if quantity else None,
         title_fontsize=8,
         alignment="left",
     )
-
-
-def _order(tables: ScenarioTables, method: str, quantity: str) -> str:
-    """In float64, or in the only precision that an engine has."""
-    row = one_precision(tables.orders.filter(pl.col("quantity") == quantity), method)
-    if row.is_empty() or not math.isfinite(row["order"][0]):
-        return " (none)"
-    return f" ({order_text(row['order'][0], row['standard_error'][0], 3)})"
 
 
 def _label(method: str) -> str:

@@ -19,7 +19,6 @@ from umbra_bench.drift_figures import LongRuns, draw_long_runs, load_long_runs
 from umbra_bench.errors import UmbraBenchError
 from umbra_bench.html_report import render_html
 from umbra_bench.parallel import map_in_processes
-from umbra_bench.plots import ScenarioTables
 from umbra_bench.results import (
     described,
     load_environment,
@@ -27,7 +26,8 @@ from umbra_bench.results import (
     load_table,
     replacing,
 )
-from umbra_bench.schemas import ENGINES_SCHEMA
+from umbra_bench.scenario_tables import ScenarioTables
+from umbra_bench.schemas import ENGINE_STEPS, ENGINES_SCHEMA
 from umbra_bench.wording import render
 
 if TYPE_CHECKING:
@@ -196,6 +196,7 @@ def render_page(tables: list[ScenarioTables], results: Path, changed: Changed | 
             for runs in load_long_runs(results)
         ],
         engines=_engines(results),
+        engine_steps=ENGINE_STEPS,
         changed=changed,
         references=[t.reference for t in tables],
         skips=load_table("skips", results).to_dicts(),

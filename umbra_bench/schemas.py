@@ -93,6 +93,9 @@ ENGINES_SCHEMA: dict[str, Any] = {
 DRIFT_LINE = ("scenario", "method", "precision", "dt")
 """What tells long runs apart."""
 
+ENGINE_STEPS = (0.04, 0.02, 0.01, 0.005)
+"""The steps, in s, over which the order of an engine's table is observed."""
+
 DRIFT_SERIES_SCHEMA: dict[str, Any] = {
     "scenario": pl.String,
     "method": pl.String,

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 
+import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from umbra_bench.plots import LOOKS, Look, log_scale, look_of, slope_guides, styled
+from umbra_bench.plots import LOOKS, Look, log_scale, look_of, power_of_ten, slope_guides, styled
 from umbra_bench.wording import method_title
 
 _HALVES = {
@@ -75,15 +76,16 @@ def draw_backward_error(curves: pl.DataFrame) -> Figure:
         FigureCanvasAgg(figure)
         panels = figure.subplots(2, math.ceil(len(found) / 2), sharex=True).ravel()
         for axes, (method, table) in zip(panels, found, strict=False):
-            axes.plot(table["x"], table["predicted"], color="#bbbbbb", lw=4, label="predicted")
-            axes.plot(
-                table["x"], table["measured"], color=look_of(method).colour, lw=1, label="measured"
-            )
-            axes.set_title(method_title(method), loc="left")
-            axes.ticklabel_format(axis="y", scilimits=(0, 0))
-            axes.yaxis.get_offset_text().set_fontsize(7)
-            axes.yaxis.get_offset_text().set_x(-0.12)
-            axes.tick_params(labelsize=7)
+            size = float(np.abs(table["measured"].to_numpy()).max(initial=1e-300))
+            factor = math.floor(math.log10(size))
+            for column, colour, width in (
+                ("predicted", "#bbbbbb", 4),
+                ("measured", look_of(method).colour, 1),
+            ):
+                scaled = table[column] / 10.0**factor
+                axes.plot(table["x"], scaled, color=colour, lw=width, label=column)
+            axes.set_title(f"{method_title(method)}, × {power_of_ten(factor)}", loc="left")
+            axes.tick_params(labelsize=7, labelbottom=True)
         for axes in panels[len(found) :]:
             axes.axis("off")
             axes.plot([], [], color="#bbbbbb", lw=4, label="predicted")

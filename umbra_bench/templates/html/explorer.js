@@ -81,8 +81,8 @@
     Plotly.react("error-plot", traces, layout("step dt (s)", `largest error of ${state.quantity} (${unit[state.quantity]})`, { xaxis: { ...logarithmic, dtick: 1 }, yaxis: logarithmic, shapes }), config);
   };
   const drawEnergy = (scenario, lines) => {
-    const traces = lines.filter((line) => line.over_time).map((line) => trace(line, { x: floats(line.over_time.t), y: floats(line.over_time.error).map((v) => (Math.abs(v) > 0 && Math.abs(v) < 1e6 ? Math.abs(v) : null)), mode: "lines",
-      hovertemplate: "%{fullData.name}<br>t = %{x:.3g} s<br>|energy error| = %{y:.3g}<extra></extra>" }));
+    const traces = lines.filter((line) => line.over_time).map((line) => trace(line, { x: floats(line.over_time.t), y: floats(line.over_time.error).map((v) => (v > 0 ? v : null)), mode: "lines",
+      hovertemplate: "%{fullData.name}<br>t = %{x:.3g} s<br>largest |energy error| hereabouts = %{y:.3g}<extra></extra>" }));
     Plotly.react("energy-plot", traces, layout("time (s)", "|energy error| / energy scale", { yaxis: logarithmic }), config);
   };
   const pictures = { orbit: ["x", "y", "x (m)", "y (m)"], spring: ["x", "vx", "x (m)", "velocity in x (m/s)"], free_fall: ["t", "y", "time (s)", "height (m)"], rotation: ["t", "angle", "time (s)", "angle (rad)"] };
