@@ -20,13 +20,14 @@ from plotly.offline import get_plotlyjs
 
 from umbra_bench import findings
 from umbra_bench.drift_figures import LongRuns, largest
+from umbra_bench.metrics import FLOOR_FACTOR
 from umbra_bench.overview import overview
 from umbra_bench.plots import envelope, look_of
 from umbra_bench.scenario_tables import ScenarioTables, at_default_step, methods_of
 from umbra_bench.schemas import ENGINE_STEPS
 from umbra_bench.wording import method_title, number
 
-POINTS = 160
+POINTS = 200
 """How many samples of a series the page holds."""
 
 _TEMPLATES = Path(__file__).parent / "templates" / "html"
@@ -138,7 +139,7 @@ def explorer_data(tables: Sequence[ScenarioTables]) -> dict[str, Any]:
     return {
         "methods": [
             {"name": name, "title": method_title(name), "colour": look_of(name).colour}
-            | {"dash": _dash(look_of(name).line)}
+            | {"dash": _dash(look_of(name).line), "symbol": _SYMBOLS[look_of(name).marker]}
             for name in methods
         ],
         "scenarios": [_scenario_data(t) for t in tables],
@@ -184,6 +185,25 @@ def _stability(curves: pl.DataFrame | None) -> list[dict[str, Any]]:
     return found
 
 
+_SYMBOLS = {
+    "v": "triangle-down",
+    "^": "triangle-up",
+    "<": "triangle-left",
+    ">": "triangle-right",
+    "s": "square",
+    "D": "diamond",
+    "d": "diamond-tall",
+    "P": "cross",
+    "o": "circle",
+    "X": "x",
+    "*": "star",
+    "p": "pentagon",
+    "h": "hexagon",
+    "8": "octagon",
+}
+"""Plotly's names of the markers of the figures."""
+
+
 def _dash(line: Any) -> str:
     if line == "-":
         return "solid"
@@ -207,8 +227,8 @@ def _scenario_data(t: ScenarioTables) -> dict[str, Any]:
         "body": body,
         "step": t.default_step,
         "floors": {
-            "position": 10 * t.reference["position_bound"],
-            "energy": 10 * t.reference["energy_bound"],
+            quantity: FLOOR_FACTOR * t.reference[f"{quantity}_bound"]
+            for quantity in ("position", "velocity", "energy")
         },
         "reference": _motion_data(truth),
         "lines": lines,

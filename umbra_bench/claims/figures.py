@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -11,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from umbra_bench.plots import LOOKS, Look, log_scale, look_of, power_of_ten, slope_guides, styled
+from umbra_bench.plots import Look, log_scale, look_of, power_of_ten, slope_guides, styled
 from umbra_bench.wording import method_title
 
 _HALVES = {
@@ -19,6 +20,12 @@ _HALVES = {
     "umbra-swapped": Look("#E69F00", (0, (4, 1.5)), "p"),
 }
 """The looks of the halves of the repair, which no other figure shows."""
+
+
+_COLOURS = ("#440154", "#3b528b", "#21918c", "#5ec962", "#d4b400")
+_LINES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (4, 1.5, 1, 1.5)))
+_SCENARIOS = [(colour, line) for line in _LINES for colour in _COLOURS]
+"""The looks of scenarios: the colours of methods would say that a method was drawn."""
 
 
 def _series(curves: pl.DataFrame, proof: str) -> Iterator[tuple[str, pl.DataFrame]]:
@@ -102,14 +109,12 @@ def draw_precision(curves: pl.DataFrame) -> Figure:
     with styled():
         figure, axes = _one_panel("step dt (s)", "largest position error / size of the motion")
         log_scale(axes, "x", "y")
-        looks = list(LOOKS.values())
         for i, (name, table) in enumerate(_series(curves, "precision")):
             table = table.sort("x").filter(pl.col("measured").is_finite())
-            look = looks[i % len(looks)]
-            line = "-" if i < len(looks) else (0, (3, 1.5))
-            axes.plot(table["x"], table["measured"], color=look.colour, linestyle=line, label=name)
+            colour, line = _SCENARIOS[i % len(_SCENARIOS)]
+            axes.plot(table["x"], table["measured"], color=colour, linestyle=line, label=name)
             best = table.sort("measured").head(1)
-            axes.plot(best["x"], best["measured"], color=look.colour, marker="o")
+            axes.plot(best["x"], best["measured"], color=colour, marker="o")
         axes.plot([], [], color="#444444", marker="o", lw=0, label="least error")
         axes.set_ylim(top=3.0)
         _legend(figure, axes)
@@ -119,13 +124,12 @@ def draw_precision(curves: pl.DataFrame) -> Figure:
 def draw_rounding(curves: pl.DataFrame) -> Figure:
     """How does the rounding of float32 grow with time?"""
     with styled():
-        figure, axes = _one_panel("time (s)", "float32 minus float64, so far at most")
+        figure, axes = _one_panel("time (s)", "float32 − float64, so far at most (see key)")
         log_scale(axes, "x", "y")
         colours: dict[str, str] = {}
         for name, table in _series(curves, "rounding-growth"):
             scenario, _, quantity = name.partition(", ")
-            palette = [look.colour for look in LOOKS.values()]
-            colour = colours.setdefault(scenario, palette[len(colours)])
+            colour = colours.setdefault(scenario, _SCENARIOS[len(colours)][0])
             line = "-" if quantity == "energy" else (0, (4, 1.5))
             unit = "energy / scale" if quantity == "energy" else "position (m)"
             axes.plot(
@@ -142,11 +146,19 @@ def draw_rounding(curves: pl.DataFrame) -> Figure:
 
 def _growth_guides(axes: Axes) -> None:
     """Lines of growth as t^(1/2) and as t."""
-    (left, right), (low, _) = axes.get_xlim(), axes.get_ylim()
+    (left, right), low = axes.get_xlim(), axes.get_ylim()[0] / 10.0  # beneath the data
     for power, text in ((0.5, "√t"), (1.0, "t")):
         begin, end = left * 3, right / 3
         axes.plot([begin, end], [low, low * (end / begin) ** power], color="#999999", lw=0.7)
-        axes.annotate(text, (end, low * (end / begin) ** power), fontsize=7, color="#777777")
+        axes.annotate(
+            text,
+            (end, low * (end / begin) ** power),
+            fontsize=7,
+            color="#777777",
+            ha="center",
+            va="center",
+            bbox={"color": "white", "pad": 1},
+        )
 
 
 def draw_repair(curves: pl.DataFrame) -> Figure:

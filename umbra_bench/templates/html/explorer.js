@@ -56,17 +56,25 @@
     const dark = matchMedia("(prefers-color-scheme: dark)").matches;
     return { ink: style.getPropertyValue("--ink").trim(), line: style.getPropertyValue("--line").trim(), dark };
   };
+  // On dark paper a dark colour is mixed with white until it stands out three to one, as WCAG asks of lines.
+  const luminance = (rgb) => rgb.map((c) => (c / 255 <= 0.04045 ? c / 255 / 12.92 : ((c / 255 + 0.055) / 1.055) ** 2.4)).reduce((sum, c, i) => sum + c * [0.2126, 0.7152, 0.0722][i], 0);
+  const inked = (colour) => {
+    const { ink, dark } = colours();
+    if (!dark) return colour;
+    if (colour === "#000000") return ink;
+    const rgb = [1, 3, 5].map((i) => parseInt(colour.slice(i, i + 2), 16));
+    let mixed = rgb;
+    for (let white = 0.1; luminance(mixed) < 0.14; white += 0.1) mixed = rgb.map((c) => Math.round(c + white * (255 - c)));
+    return `rgb(${mixed.join(",")})`;
+  };
   const layout = (x, y, more = {}) => {
     const { ink, line } = colours();
     const axis = { gridcolor: line, zerolinecolor: line, linecolor: ink, automargin: true };
     return { paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: ink, size: 12 }, margin: { l: 60, r: 10, t: 10, b: 45 },
-      hovermode: "closest", showlegend: innerWidth > 640, modebar: { orientation: "v", bgcolor: "rgba(0,0,0,0)", color: line, activecolor: ink }, legend: { font: { size: 10 }, x: 1.06 }, xaxis: { ...axis, title: { text: x }, ...more.xaxis }, yaxis: { ...axis, title: { text: y }, ...more.yaxis }, shapes: more.shapes || [] };
+      hovermode: "closest", showlegend: innerWidth > 640 || Boolean(more.key), modebar: { orientation: "v", bgcolor: "rgba(0,0,0,0)", color: line, activecolor: ink }, legend: innerWidth > 640 ? { font: { size: 10 }, x: 1.06 } : { font: { size: 10 }, orientation: "h", y: -0.25 }, xaxis: { ...axis, title: { text: x, standoff: 8 }, ...more.xaxis }, yaxis: { ...axis, title: { text: y, standoff: 12 }, ...more.yaxis }, shapes: more.shapes || [] };
   };
   const config = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["lasso2d", "select2d"] };
-  const stroke = (method) => {
-    const { dark } = colours();
-    return { color: method.colour === "#000000" && dark ? "#ffffff" : method.colour, dash: method.dash, width: 2 };
-  };
+  const stroke = (method) => ({ color: inked(method.colour), dash: method.dash, width: 2 });
   const logarithmic = { type: "log", exponentformat: "power" };
   const trace = (line, more) => {
     const method = methods.get(line.method);
@@ -74,10 +82,13 @@
   };
 
   const drawErrors = (scenario, lines) => {
-    const traces = lines.map((line) => trace(line, { x: line.dt, y: line[state.quantity].map((v) => (v > 0 ? v : null)), mode: "lines+markers", marker: { size: 6 },
+    const traces = lines.map((line) => trace(line, { x: line.dt, y: line[state.quantity].map((v) => (v > 0 ? v : null)), mode: "lines+markers", marker: { size: 7, symbol: methods.get(line.method).symbol },
       hovertemplate: `%{fullData.name}<br>dt = %{x} s<br>%{y:.3g} ${unit[state.quantity]}<br>order ${line.orders[state.quantity]}<extra></extra>` }));
     const { ink } = colours();
     const shapes = [{ type: "line", x0: Number(state.step), x1: Number(state.step), y0: 0, y1: 1, yref: "paper", line: { color: ink, width: 1, dash: "dot" } }];
+    const floor = scenario.floors[state.quantity];
+    const least = Math.min(...traces.flatMap((t) => t.y.filter((v) => v !== null)));
+    if (floor > least / 100) shapes.push({ type: "line", x0: 0, x1: 1, xref: "paper", y0: floor, y1: floor, line: { color: ink, width: 1, dash: "dash" }, label: { text: "floor of the reference", textposition: "start", font: { size: 10 } } });
     Plotly.react("error-plot", traces, layout("step dt (s)", `largest error of ${state.quantity} (${unit[state.quantity]})`, { xaxis: { ...logarithmic, dtick: 1 }, yaxis: logarithmic, shapes }), config);
   };
   const drawEnergy = (scenario, lines) => {
@@ -144,12 +155,12 @@
       { x: line.x, y: line.predicted, mode: "lines", line: { color: "#9aa4b1", width: 6 }, opacity: 0.5, showlegend: false, hoverinfo: "skip" },
       { name: line.title, x: line.x, y: line.measured, mode: "lines", line: stroke(line), hovertemplate: "%{fullData.name}<br>ω dt = %{x:.2f}<br>growth %{y:.4g}<extra></extra>" },
     ]);
-    Plotly.react("stability-plot", traces, layout("ω dt", "growth per step", { yaxis: { range: [0.4, 3] } }), config);
+    Plotly.react("stability-plot", traces, layout("ω dt", "growth per step", { key: true, yaxis: { range: [0.4, 3] } }), config);
   };
   const drawLongRuns = () => data.long_runs.forEach((lines, i) => {
     const traces = lines.map((line) => ({ name: line.title, x: line.steps, y: line.error.map((v) => (v > 0 && v < 1e6 ? v : null)), mode: "lines", line: stroke(line),
       hovertemplate: `%{fullData.name}<br>%{x:.3g} steps<br>largest error %{y:.3g}<br>${line.law}<extra></extra>` }));
-    Plotly.react(`drift-plot-${i}`, traces, layout("steps", "|energy error| / energy scale", { xaxis: { ...logarithmic, dtick: 1 }, yaxis: { ...logarithmic, dtick: 2 } }), config);
+    Plotly.react(`drift-plot-${i}`, traces, layout("steps", "|energy error| / energy scale", { key: true, xaxis: { ...logarithmic, dtick: 1 }, yaxis: { ...logarithmic, dtick: 2 } }), config);
   });
   const draw = () => {
     const scenario = scenarios.get(state.scenario);
@@ -163,6 +174,7 @@
     $("step").value = state.step;
     for (const box of document.querySelectorAll("#methods input")) box.checked = !state.hidden.has(box.value);
     $("description").textContent = `${scenario.title}: ${scenario.description}`;
+    for (const swatch of document.querySelectorAll("#methods .swatch")) swatch.style.borderTopColor = inked(swatch.dataset.colour);
     listValues(scenario, lines);
     if (!window.Plotly) return;
     drawErrors(scenario, lines);
@@ -184,7 +196,7 @@
     const box = element("input", "", { type: "checkbox", value: m.name });
     box.addEventListener("change", () => toggle(m.name));
     const swatch = element("span", "", { class: "swatch", "aria-hidden": "true" });
-    swatch.style.borderTopColor = m.colour === "#000000" ? "currentColor" : m.colour;
+    swatch.dataset.colour = m.colour;
     swatch.style.borderTopStyle = m.dash === "solid" ? "solid" : m.dash === "dash" ? "dashed" : "dotted";
     label.append(box, swatch, m.title);
     return label;
@@ -210,6 +222,7 @@
   $("play").addEventListener("click", () => play($("play").getAttribute("aria-pressed") !== "true"));
   addEventListener("hashchange", () => { if (readAddress()) { draw(); $("explorer").scrollIntoView(); } });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
+  addEventListener("beforeprint", () => { for (const folded of document.querySelectorAll("details")) folded.open = true; });
   readAddress();
   draw();
   // The library takes longer to start than all the rest: the page is there to read before it does.
