@@ -188,11 +188,17 @@ def kill_command(count: int, folder: Path, chance: random.Random) -> int:
     return count
 
 
+def in_force(folder: Path) -> dict[str, bytes]:
+    """The files as a reader finds them: what a killed writer decided counts before what is in place."""
+    paths = [*folder.glob("[!.]*"), *folder.glob(".*.ready/*")]
+    return {path.name: path.read_bytes() for path in paths if path.is_file()}
+
+
 def refused(writer: str, good: Path, target: Path, limit: Callable[[], None]) -> str:
     """What a writer says that comes up against a limit; what was there is whole."""
     write, _ = WRITERS[writer]
     before = read(writer, target)
-    files = {path.name: path.read_bytes() for path in target.iterdir() if path.is_file()}
+    files = in_force(target)
 
     def limited(good: Path, target: Path) -> None:
         limit()
@@ -203,9 +209,7 @@ def refused(writer: str, good: Path, target: Path, limit: Callable[[], None]) ->
     os.waitpid(process, 0)
     if len(lines) != 2 or not lines[1].startswith("refused: ") or str(target) not in lines[1]:
         raise AssertionError(f"{writer}: expected one line, got {lines}")
-    if read(writer, target) != before or any(
-        (target / n).read_bytes() != b for n, b in files.items()
-    ):
+    if read(writer, target) != before or in_force(target) != files:
         raise AssertionError(f"{writer}: the old files are no longer whole")
     return lines[1].replace(str(target), "FOLDER")
 
